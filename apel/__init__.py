@@ -1,0 +1,48 @@
+"""APEL: ensembles of different reinforcement learners, the best one picked while they learn.
+
+>>> import apel
+>>> world = apel.make_world(apel.EnvironmentConfig("FrozenLake-v1"), run_seed=1)
+>>> learners = [apel.LearnerConfig("q_learning"), apel.LearnerConfig("q_learning", {"learning_rate": 0.5})]
+>>> ensemble = apel.Ensemble(world, learners, apel.Apel(decay=0.01), seed=1, num_episodes=100)
+>>> records = list(ensemble.run())
+>>> len(records)
+100
+"""
+
+from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
+from apel.ensemble import Ensemble, EpisodeRecord
+from apel.environments import World, make_world
+from apel.learners import Decay, Learner, QLearning, Switch, Transition
+from apel.metrics import Criterion, Threshold
+from apel.representations import Bins, Representation
+from apel.seeding import run_seeds
+from apel.selection import Selector
+from apel.selectors import Apel, Fixed, Ssbas, Uniform
+from apel.trajectory import Trajectory, TrajectoryBatch
+
+__all__ = [
+    "Apel",
+    "Bins",
+    "Criterion",
+    "Decay",
+    "Ensemble",
+    "EnvironmentConfig",
+    "EpisodeRecord",
+    "Fixed",
+    "Learner",
+    "LearnerConfig",
+    "QLearning",
+    "Representation",
+    "Selector",
+    "SelectorConfig",
+    "Ssbas",
+    "Switch",
+    "Threshold",
+    "Trajectory",
+    "TrajectoryBatch",
+    "Transition",
+    "Uniform",
+    "World",
+    "make_world",
+    "run_seeds",
+]

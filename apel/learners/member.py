@@ -1,0 +1,95 @@
+"""One learner at work in one run: it sees its own view of the raw observations, plays episodes, and learns from
+others'.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from apel.finite import FiniteModel
+from apel.learners.base import Learner, Transition
+from apel.representations import View
+from apel.trajectory import Trajectory
+
+
+class Codec:
+    """How a raw observation stands in a trajectory: as it is, or, of a finite environment, as its state number."""
+
+    def __init__(self, model: FiniteModel | None, space: spaces.Space[Any]) -> None:
+        self._sizes = model.feature_sizes if model else None
+        self._values = model.feature_values() if model else None
+        self._is_scalar = isinstance(space, spaces.Discrete)
+
+    def encode(self, observation: Any) -> Any:
+        """The entry of a trajectory's ``observation``."""
+        if self._sizes is None:
+            return observation
+        return np.int64(np.ravel_multi_index(tuple(np.atleast_1d(observation)), self._sizes))
+
+    def decode(self, entry: Any) -> Any:
+        """The raw observation of such an entry."""
+        if self._values is None:
+            return entry
+        values: NDArray[np.int64] = self._values[entry]
+        return int(values[0]) if self._is_scalar else values
+
+
+class Member:
+    """A learner with its view and codec."""
+
+    def __init__(self, learner: Learner, view: View, codec: Codec) -> None:
+        self.learner = learner
+        self._view = view
+        self._codec = codec
+
+    def play(self, environment: gymnasium.Env[Any, Any], seed: int) -> Trajectory:
+        """Act for one episode, learning step by step."""
+        observation, _ = environment.reset(seed=seed)
+        observations, actions, rewards, probabilities = [self._codec.encode(observation)], [], [], []
+        while True:
+            seen = self._view(observation)
+            action, probability = self.learner.act(seen)
+            observation, reward, terminated, truncated, _ = environment.step(action)
+            self.learner.learn(
+                Transition(seen, action, float(reward), self._view(observation), terminated, truncated, probability)
+            )
+            observations.append(self._codec.encode(observation))
+            actions.append(action)
+            rewards.append(float(reward))
+            probabilities.append(probability)
+            if terminated or truncated:
+                break
+        self.learner.end_episode()
+        known = [p for p in probabilities if p is not None]
+        return Trajectory(
+            observation=np.array(observations),
+            action=np.array(actions),
+            reward=np.array(rewards, dtype=np.float64),
+            terminated=bool(terminated),
+            probability=np.array(known) if len(known) == len(actions) else None,
+        )
+
+    def learn(self, trajectory: Trajectory) -> None:
+        """Train on an episode that another learner played, in the same order."""
+        last = len(trajectory) - 1
+        seen = self._view(self._codec.decode(trajectory.observation[0]))
+        for step in range(len(trajectory)):
+            following = self._view(self._codec.decode(trajectory.observation[step + 1]))
+            self.learner.learn(
+                Transition(
+                    observation=seen,
+                    action=int(trajectory.action[step]),
+                    reward=float(trajectory.reward[step]),
+                    next_observation=following,
+                    terminated=step == last and trajectory.terminated,
+                    truncated=step == last and not trajectory.terminated,
+                    probability=None if trajectory.probability is None else trajectory.probability[step],
+                )
+            )
+            seen = following
+        self.learner.end_episode()

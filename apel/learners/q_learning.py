@@ -1,0 +1,160 @@
+"""Tabular Q-learning (Algorithm 2, Eq. 2.8): its options, and the plain learner of one run.
+
+The compiled bank of the same algorithm is `apel.learners.tabular_bank`; both draw the same numbers in the same order,
+and tests hold one against the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from apel.learners.base import State, Transition
+from apel.streams import integer, stream_of_seed, uniform
+
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+_Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+@dataclass(frozen=True, config=_CONFIG)
+class Decay:
+    """ε(t) = end + (start − end) · exp(−t / steps), t counted in observed environment steps."""
+
+    start: _Probability
+    end: _Probability
+    steps: Annotated[float, Field(gt=0.0)]
+
+
+@dataclass(frozen=True, config=_CONFIG)
+class Switch:
+    """ε is ``before`` in the episodes 0 … ``episode`` − 1 and ``after`` from then on (§4.2.2)."""
+
+    before: _Probability
+    episode: Annotated[int, Field(ge=0)]
+    after: _Probability
+
+
+@dataclass(frozen=True, config=_CONFIG)
+class QLearningOptions:
+    """Options of Q-learning; the defaults are those of the dissertation's maze experiments (§4.3.1).
+
+    Attributes
+    ----------
+    learning_rate:
+        α, 0 < α ≤ 1.
+    discount:
+        γ, 0 ≤ γ ≤ 1.
+    exploration:
+        ε of the ε-greedy policy: constant, decaying, or switched at an episode.
+    """
+
+    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    discount: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    exploration: _Probability | Decay | Switch = 0.1
+
+    def exploration_rate(self, episode: int, steps: int) -> float:
+        """ε in episode ``episode``, after ``steps`` observed environment steps."""
+        match self.exploration:
+            case Decay(start, end, scale):
+                return end + (start - end) * math.exp(-steps / scale)
+            case Switch(before, switch_episode, after):
+                return before if episode < switch_episode else after
+            case float(rate):
+                return rate
+
+
+class QLearning:
+    """Q-learning with a table, an ε-greedy policy with uniform tie-breaking, and values that start at zero.
+
+    Learns Q(s, a) ← Q(s, a) + α (r + γ max Q(s′, ·) − Q(s, a)) (Eq. 2.8); V of a terminal state is zero, a truncated
+    episode bootstraps.
+
+    Parameters
+    ----------
+    observation_space:
+        Discrete, MultiDiscrete or MultiBinary.
+    action_space:
+        Discrete.
+    seed:
+        64-bit seed of its exploration.
+    options:
+        Those of `QLearningOptions`.
+    """
+
+    off_policy: ClassVar[bool] = True
+
+    def __init__(self, observation_space: spaces.Space[Any], action_space: Any, seed: int, **options: Any) -> None:
+        if not isinstance(observation_space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+            message = (
+                f"q_learning needs finitely many states: found the observation space {observation_space}, expected a "
+                "discrete one, or a representation with bins"
+            )
+            raise ValueError(message)
+        self.options = QLearningOptions(**options)
+        self.num_actions = int(action_space.n)
+        self.first_action = int(action_space.start)
+        self.table: defaultdict[tuple[int, ...], NDArray[np.float64]] = defaultdict(self._zeros)
+        self.stream = stream_of_seed(seed)
+        self.episode = 0
+        self.steps = 0
+
+    def act(self, observation: Any) -> tuple[int, NDArray[np.float64]]:
+        """ε-greedy: an action, and the probabilities of all."""
+        values = self.table[_key(observation)]
+        exploration = self.options.exploration_rate(self.episode, self.steps)
+        greedy = np.flatnonzero(values == values.max())
+        probability = np.full(self.num_actions, exploration / self.num_actions)
+        probability[greedy] += (1.0 - exploration) / len(greedy)
+        if uniform(self.stream) < exploration:
+            action = integer(self.stream, self.num_actions)
+        elif len(greedy) == 1:
+            action = int(greedy[0])
+        else:
+            action = int(greedy[integer(self.stream, len(greedy))])
+        return action + self.first_action, probability
+
+    def learn(self, transition: Transition) -> None:
+        """Eq. 2.8 for one step."""
+        values = self.table[_key(transition.observation)]
+        following = 0.0 if transition.terminated else float(self.table[_key(transition.next_observation)].max())
+        target = transition.reward + self.options.discount * following
+        action = transition.action - self.first_action
+        values[action] += self.options.learning_rate * (target - values[action])
+        self.steps += 1
+
+    def end_episode(self) -> None:
+        """Advance the episode clock."""
+        self.episode += 1
+
+    def state(self) -> State:
+        """Table, stream and clocks."""
+        return {
+            "keys": [list(key) for key in self.table],
+            "values": np.array(list(self.table.values())).reshape(-1, self.num_actions),
+            "stream": self.stream.copy(),
+            "episode": self.episode,
+            "steps": self.steps,
+        }
+
+    def restore(self, state: State) -> None:
+        """Go back to what `state` returned."""
+        self.table.clear()
+        for key, values in zip(state["keys"], state["values"], strict=True):
+            self.table[tuple(key)] = np.array(values)
+        self.stream = state["stream"].copy()
+        self.episode = state["episode"]
+        self.steps = state["steps"]
+
+    def _zeros(self) -> NDArray[np.float64]:
+        return np.zeros(self.num_actions)
+
+
+def _key(observation: Any) -> tuple[int, ...]:
+    return tuple(int(value) for value in np.atleast_1d(observation))

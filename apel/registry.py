@@ -1,0 +1,56 @@
+"""Names of what is shipped, and import paths for what is not."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from apel.learners.base import Performance
+from apel.learners.q_learning import QLearning
+from apel.selectors import Apel, Fixed, Ssbas, Uniform
+
+LEARNERS: Mapping[str, Callable[..., Any]] = {"q_learning": QLearning}
+SELECTORS: Mapping[str, Callable[..., Any]] = {"apel": Apel, "ssbas": Ssbas, "uniform": Uniform, "fixed": Fixed}
+METRICS: Mapping[str, Performance] = {"return": "return", "negative_length": "negative_length"}
+
+
+def resolve(name: str, shipped: Mapping[str, Any], kind: str) -> Any:
+    """What ``name`` stands for: a key of ``shipped``, or ``package.module:Name``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such thing; the message says what there is.
+    """
+    if name in shipped:
+        return shipped[name]
+    if ":" not in name:
+        message = (
+            f"found the {kind} {name!r}, expected one of {sorted(shipped)} or an import path 'package.module:Name'"
+        )
+        raise ValueError(message)
+    return load(name)
+
+
+def load(path: str) -> Any:
+    """The object at an import path ``package.module:Name``.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be imported.
+    """
+    module_name, _, attribute = path.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:
+        message = (
+            f"found the import path {path!r}, but importing {module_name!r} failed: {type(error).__name__}: {error}"
+        )
+        raise ValueError(message) from error
+    try:
+        return getattr(module, attribute)
+    except AttributeError:
+        message = f"found the import path {path!r}, but module {module_name!r} has no {attribute!r}"
+        raise ValueError(message) from None

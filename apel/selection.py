@@ -1,0 +1,79 @@
+"""What a selector is: two pure functions over one run's state.
+
+A selector is a state machine with no I/O, no clock and no global random state. Its whole state for one run is a row of
+numbers, ``float64[…]``, that opens with three blocks of one number per learner which every selector keeps, and that the
+result files show:
+
+    probability            with which each learner was to be selected for the coming episode
+    performance_estimate   r̂, each learner's latest performance (NaN: not selected yet)
+    concentration          the Dirichlet's parameters (NaN for selectors that have none)
+
+``select`` draws the learner of the coming episode; ``observe`` takes in how that episode went. The two shipped
+functions of a selector are compiled (`KernelFunction`), so that a learner's host can go on selecting inside a
+compiled streak; a user's own may be plain Python functions of the same arguments, at the price of leaving the
+compiled loop every episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numba import float64, int64, uint64, void
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+
+from apel.compiled import KernelFunction
+
+Row = NDArray[np.float64]
+
+SELECTOR_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Options of a selector are checked when it is made, and unknown ones refused."""
+
+SELECT_SIGNATURE = int64(float64[::1], int64, float64[::1], uint64[::1])
+OBSERVE_SIGNATURE = void(float64[::1], int64, float64[::1], int64, float64)
+
+# select(parameters, num_learners, state, stream) -> learner
+Select = Callable[[Row, int, Row, NDArray[np.uint64]], int]
+# observe(parameters, num_learners, state, selected, performance)
+Observe = Callable[[Row, int, Row, int, float], None]
+
+
+@runtime_checkable
+class Selector(Protocol):
+    """Picks one learner per episode (§3.2–3.4; spec of the state above)."""
+
+    def parameters(self) -> Row:
+        """The numbers that both functions receive, ``float64[parameters]``."""
+        ...
+
+    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
+        """State of a run before its first episode; ``num_episodes`` bounds any memory of the past."""
+        ...
+
+    @property
+    def select(self) -> Select:
+        """``(parameters, num_learners, state, stream) → learner``; writes ``probability`` into the state."""
+        ...
+
+    @property
+    def observe(self) -> Observe:
+        """``(parameters, num_learners, state, selected, performance) → None``; updates the state in place."""
+        ...
+
+
+def header(num_learners: int, concentration: float = np.nan) -> Row:
+    """The three blocks that open every state: uniform probabilities, no estimates, equal concentrations."""
+    blocks = (np.full(num_learners, value) for value in (1.0 / num_learners, np.nan, concentration))
+    return np.concatenate(list(blocks))
+
+
+def compiled_select(function: Select) -> KernelFunction:
+    """Compile a ``select`` function."""
+    return KernelFunction(function, SELECT_SIGNATURE)
+
+
+def compiled_observe(function: Observe) -> KernelFunction:
+    """Compile an ``observe`` function."""
+    return KernelFunction(function, OBSERVE_SIGNATURE)

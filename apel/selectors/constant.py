@@ -1,0 +1,73 @@
+"""Selectors that learn nothing: always one learner, or any learner with equal chances."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
+from apel.streams import integer
+
+
+@compiled_select
+def _select_fixed(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+    return int(parameters[0])
+
+
+@compiled_select
+def _select_uniform(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+    return integer(stream, num_learners)
+
+
+@compiled_observe
+def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+    state[num_learners + selected] = performance
+
+
+@dataclass(frozen=True, config=SELECTOR_CONFIG)
+class Fixed:
+    """Always selects the same learner.
+
+    Attributes
+    ----------
+    learner:
+        Its position among the arm's learners.
+    """
+
+    learner: Annotated[int, Field(ge=0)] = 0
+
+    select = staticmethod(_select_fixed)
+    observe = staticmethod(_observe)
+
+    def parameters(self) -> Row:
+        """``float64[1]``: the learner."""
+        return np.array([float(self.learner)])
+
+    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
+        """``float64[3 · learners]``."""
+        if self.learner >= num_learners:
+            message = f"learner: found {self.learner}, expected a position from 0 to {num_learners - 1}"
+            raise ValueError(message)
+        state = header(num_learners)
+        state[:num_learners] = np.arange(num_learners) == self.learner
+        return state
+
+
+@dataclass(frozen=True, config=SELECTOR_CONFIG)
+class Uniform:
+    """Selects every learner with probability 1/n, whatever happens."""
+
+    select = staticmethod(_select_uniform)
+    observe = staticmethod(_observe)
+
+    def parameters(self) -> Row:
+        """``float64[0]``: there are none."""
+        return np.empty(0)
+
+    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
+        """``float64[3 · learners]``."""
+        return header(num_learners)

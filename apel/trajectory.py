@@ -1,0 +1,143 @@
+"""What is broadcast: the transitions of one episode, and the episodes of many runs as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The transitions of one episode of T steps.
+
+    Attributes
+    ----------
+    observation:
+        ``[T + 1, …]``: the raw observations, the last one included.
+    action:
+        ``[T]``.
+    reward:
+        ``float64[T]``.
+    terminated:
+        Whether the environment ended the episode; False where it was truncated.
+    probability:
+        ``float64[T, actions]``: the behaviour policy's μ(·|s) at each step, or None where no learner asked for it.
+    """
+
+    observation: NDArray[Any]
+    action: NDArray[np.integer[Any]]
+    reward: NDArray[np.float64]
+    terminated: bool
+    probability: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        """Number of steps."""
+        return len(self.action)
+
+    @property
+    def undiscounted_return(self) -> float:
+        """Sum of the rewards, added in order (as compiled code adds them)."""
+        return float(sum(self.reward.tolist()))
+
+
+class Episodes(NamedTuple):
+    """What there is to say of E episodes in a few numbers each; those of one run stand in the order of play.
+
+    ``performance`` is what the selector compares; ``terminated`` is False where an episode was truncated.
+    """
+
+    run: NDArray[np.int64]
+    """Position of the run in its shard."""
+    episode: NDArray[np.int64]
+    """Index on the run's clock."""
+    length: NDArray[np.int64]
+    """Number of steps."""
+    episode_return: NDArray[np.float64]
+    performance: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, room: int) -> Episodes:
+        """Columns with uninitialised room for ``room`` episodes."""
+        whole = [np.empty(room, dtype=np.int64) for _ in range(3)]
+        return cls(whole[0], whole[1], whole[2], np.empty(room), np.empty(room), np.empty(room, dtype=np.bool_))
+
+    def first(self, count: int) -> Episodes:
+        """The first ``count`` episodes, as views."""
+        return Episodes._make(column[:count] for column in self)
+
+
+@dataclass(frozen=True)
+class TrajectoryBatch:
+    """Episodes of several runs with all their steps, as ragged columns: E episodes with N steps in all.
+
+    Arrays travel between processes without copies, and arrive read-only.
+
+    Attributes
+    ----------
+    episodes:
+        One row per episode.
+    observation:
+        ``[N + E, …]``: each episode's ``length + 1`` observations; for finite environments their state numbers.
+    action:
+        ``[N]``.
+    reward_code:
+        ``[N]``: positions in ``reward_value``. The rewards of most environments take few values; as codes they are an
+        eighth of the bytes.
+    reward_value:
+        ``float64[values]``.
+    probability:
+        ``float64[N, actions]`` or None, see `Trajectory`.
+    """
+
+    episodes: Episodes
+    observation: NDArray[Any]
+    action: NDArray[Any]
+    reward_code: NDArray[Any]
+    reward_value: NDArray[np.float64]
+    probability: NDArray[np.float64] | None = None
+
+    def trajectories(self) -> Iterator[tuple[int, int, Trajectory]]:
+        """``(run, episode, trajectory)`` for every episode, as views."""
+        step = 0
+        columns = (self.episodes.run, self.episodes.episode, self.episodes.length, self.episodes.terminated)
+        for position, (run, episode, length, terminated) in enumerate(zip(*map(_list, columns), strict=True)):
+            steps = slice(step, step + length)
+            trajectory = Trajectory(
+                observation=self.observation[step + position : step + length + position + 1],
+                action=self.action[steps],
+                reward=self.reward_value[self.reward_code[steps]],
+                terminated=terminated,
+                probability=None if self.probability is None else self.probability[steps],
+            )
+            yield run, episode, trajectory
+            step += length
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        columns = [*self.episodes, self.observation, self.action, self.reward_code, self.reward_value, self.probability]
+        return sum(column.nbytes for column in columns if column is not None)
+
+
+def batch_of(episodes: Episodes, trajectories: Sequence[Trajectory]) -> TrajectoryBatch:
+    """The batch of at least one trajectory, with a row of ``episodes`` for each."""
+    probabilities = [t.probability for t in trajectories if t.probability is not None]
+    value, code = np.unique(np.concatenate([t.reward for t in trajectories]), return_inverse=True)
+    return TrajectoryBatch(
+        episodes=episodes,
+        observation=np.concatenate([t.observation for t in trajectories]),
+        action=np.concatenate([t.action for t in trajectories]),
+        reward_code=code.astype(np.min_scalar_type(len(value))),
+        reward_value=value,
+        probability=np.concatenate(probabilities) if len(probabilities) == len(trajectories) else None,
+    )
+
+
+def _list(column: NDArray[Any]) -> list[Any]:
+    values: list[Any] = column.tolist()
+    return values

@@ -1,0 +1,120 @@
+"""One base learner of a shard: its models for every run, and a copy of the shard's book."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from apel.book import Book, open_book, replay
+from apel.building import is_tabular, make_bank, make_performance, make_selector
+from apel.configs import EnvironmentConfig
+from apel.environments import World, make_world
+from apel.learners.base import Failure, LearnerBank, Played, State, StreakLimit
+from apel.registry import load
+from apel.selection import Selector
+from apel.trajectory import Episodes, TrajectoryBatch
+from cluster.shard import Execution, RunPlan, Shard
+
+
+def make_run_world(run: RunPlan) -> World:
+    """The environment of a run."""
+    return make_world(run.environment, run.seed, environment_factory(run.environment))
+
+
+def environment_factory(config: EnvironmentConfig) -> object | None:
+    """What an import path stands for; None for a Gymnasium id, which ends in a version."""
+    return load(config.id) if ":" in config.id and not re.search(r"-v\d+$", config.id) else None
+
+
+def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -> Book:
+    """The book of a shard before its first episode."""
+    return open_book(
+        selector,
+        len(shard.arm.learner_names),
+        shard.arm.num_episodes,
+        shard.arm.criterion,
+        [run.seed for run in shard.runs],
+        [world.info for world in worlds],
+        stops_when_met=shard.arm.stops_when_met,
+    )
+
+
+class LearnerHost:
+    """Plays and learns with one base learner, for all runs of a shard. A plain class: `cluster.launch` makes it an
+    actor.
+
+    The host keeps its own copy of the book. While it plays a streak the book says how long the streak lasts; the
+    episodes that other hosts played it learns from, and takes into its book, at the beginning of the next round. The
+    delay changes nothing: before it acts in a run again it has learned from everything that happened there.
+    """
+
+    def __init__(self) -> None:
+        self._bank: LearnerBank
+        self._book: Book
+        self._selector: Selector
+        self._index = 0
+        self._limit = StreakLimit(1, 1)
+        self._record = False
+        self._nothing = np.zeros(0, dtype=np.bool_)
+
+    def prepare(self, shard: Shard, index: int, execution: Execution, state: State | None) -> None:
+        """Build learner ``index`` of the shard; go on from ``state`` if there is one.
+
+        Raises
+        ------
+        ValueError
+            If a learner cannot be built.
+        """
+        worlds = [make_run_world(run) for run in shard.runs]
+        columns = list(zip(*(run.learners for run in shard.runs), strict=True))
+        others = [column for i, column in enumerate(columns) if i != index]
+        self._selector = make_selector(shard.arm.selector)
+        self._book = open_shard_book(shard, worlds, self._selector)
+        self._bank = make_bank(
+            columns[index],
+            worlds,
+            [run.seed for run in shard.runs],
+            index,
+            make_performance(shard.arm.performance),
+            with_probability=any(not is_tabular(column, worlds) for column in others),
+        )
+        self._index = index
+        self._limit = StreakLimit(execution.streak_episodes, execution.streak_steps)
+        self._record = bool(others)
+        self._nothing = np.zeros(shard.arm.num_episodes, dtype=np.bool_)
+        if state is not None:
+            self._bank.restore(state["bank"])
+            for column, stored in zip(self._book, state["book"], strict=True):
+                if isinstance(column, np.ndarray):
+                    column[...] = stored
+
+    def play(self, runs: Sequence[int], *batches: TrajectoryBatch) -> tuple[Played, TrajectoryBatch | None]:
+        """One round: learn from the others' last batches, then play a streak of each of ``runs``.
+
+        Answers with the small part and, apart from it, the trajectories for the others.
+        """
+        failures = self._catch_up(batches)
+        failed = {failure.run for failure in failures}
+        playable = [run for run in runs if run not in failed]
+        if not playable:
+            return Played(_NO_EPISODES, None, failures), None
+        played = self._bank.play(playable, self._book, self._selector, self._index, self._limit, record=self._record)
+        return replace(played, batch=None, failures=(*failures, *played.failures)), played.batch
+
+    def state(self, *batches: TrajectoryBatch) -> tuple[State, tuple[Failure, ...]]:
+        """Everything needed to go on, after learning from the others' last batches."""
+        failures = self._catch_up(batches)
+        return {"bank": self._bank.state(), "book": [np.array(column) for column in self._book]}, failures
+
+    def _catch_up(self, batches: Sequence[TrajectoryBatch]) -> tuple[Failure, ...]:
+        failures: list[Failure] = []
+        for batch in batches:
+            failures += self._bank.learn(batch)
+            replay(self._book, self._selector, batch.episodes, self._nothing)
+        return tuple(failures)
+
+
+_NO_EPISODES = Episodes.empty(0)

@@ -1,0 +1,83 @@
+"""Local mode: the same classes, in this process, without Ray. For tests, debuggers, and learners that take
+microseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from apel.learners.base import Failure, Played, State
+from apel.trajectory import TrajectoryBatch
+from cluster.coordinator import CheckpointStore, Coordinator, ResultSink, ShardDone, ShardProgress
+from cluster.learner_host import LearnerHost
+from cluster.shard import Execution, Shard
+
+
+class LocalHosts:
+    """Hosts in this process, called one after the other."""
+
+    def __init__(self) -> None:
+        self._hosts: list[LearnerHost] = []
+        self._last: list[TrajectoryBatch | None] = []
+
+    def prepare(self, shard: Shard, execution: Execution, states: Sequence[State] | None) -> None:
+        """See `cluster.coordinator.Hosts`."""
+        self._hosts = [LearnerHost() for _ in shard.arm.learner_names]
+        self._last = [None] * len(self._hosts)
+        for index, host in enumerate(self._hosts):
+            host.prepare(shard, index, execution, states[index] if states is not None else None)
+
+    def play(self, orders: Sequence[Sequence[int]]) -> list[Played]:
+        """See `cluster.coordinator.Hosts`."""
+        answers = [host.play(orders[i], *self._others(i)) for i, host in enumerate(self._hosts)]
+        self._last = [batch for _, batch in answers]
+        return [played for played, _ in answers]
+
+    def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
+        """See `cluster.coordinator.Hosts`."""
+        answers = [host.state(*self._others(i)) for i, host in enumerate(self._hosts)]
+        self._last = [None] * len(self._hosts)
+        return answers
+
+    def _others(self, index: int) -> list[TrajectoryBatch]:
+        return [batch for other, batch in enumerate(self._last) if other != index and batch is not None]
+
+
+def run_shards(
+    shards: Sequence[Shard], sink: ResultSink, checkpoints: CheckpointStore, execution: Execution
+) -> Iterator[tuple[Shard, ShardProgress | ShardDone]]:
+    """Play shards one after the other in this process."""
+    for shard in shards:
+        coordinator = Coordinator(LocalHosts(), sink, checkpoints, execution)
+        for event in coordinator.run(shard):
+            yield shard, event
+
+
+def rehearse(shard: Shard, num_episodes: int = 50) -> None:
+    """Play the first run of a shard for a few episodes and forget it: compiles, and keeps, all that the shard needs."""
+    arm = replace(shard.arm, num_episodes=min(num_episodes, shard.arm.num_episodes))
+    hosts = LocalHosts()
+    coordinator = Coordinator(hosts, _Nowhere(), _Nowhere(), Execution(streak_episodes=5))
+    for _ in coordinator.run(Shard(arm, shard.runs[:1])):
+        pass
+
+
+class _Nowhere:
+    """Keeps nothing."""
+
+    def spill(self, *_: Any) -> None:
+        """Keep nothing."""
+
+    def commit(self, *_: Any) -> None:
+        """Keep nothing."""
+
+    def read(self, _: Shard) -> None:
+        """There is nothing."""
+
+    def write(self, *_: Any) -> None:
+        """Keep nothing."""
+
+    def delete(self, _: Shard) -> None:
+        """There is nothing."""

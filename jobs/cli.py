@@ -1,0 +1,184 @@
+"""The command line, ``apel``. Exit codes: 0 done; 1 a run failed; 2 bad input; 130 interrupted."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from cluster.errors import ClusterError, grouped
+from cluster.storage import Folder
+from jobs.runner import Outcome, Placement, Settings, run_experiment
+from jobs.spec import Experiment, load_experiment, shipped_experiments
+from jobs.store import ResultStore, StoreError
+from jobs.terminal import TerminalObserver, summary_table
+from jobs.validation import check
+from jobs.yaml_source import SpecError
+
+app = typer.Typer(
+    help="Ensembles of different reinforcement learners, over a hundred seeds, on Ray.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_out = Console(soft_wrap=True)
+_err = Console(stderr=True, soft_wrap=True)
+
+_Reference = Annotated[
+    str, typer.Argument(metavar="SPEC|NAME", help="An experiment file, or the name of a shipped one.")
+]
+_Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override any field of the spec.")]
+
+
+def main() -> None:
+    """Entry point."""
+    # A user's own learners, environments and metrics are found where the command is run.
+    sys.path.insert(0, str(Path.cwd()))
+    signal.signal(signal.SIGTERM, _interrupt)
+    with _exit_codes():
+        app()
+
+
+@app.command("list")
+def list_experiments() -> None:
+    """Show the experiments that are shipped."""
+    table = Table("name", "figures", "arms", "runs", "at most", "what")
+    for name in shipped_experiments():
+        experiment = load_experiment(name)
+        arms = len(experiment.arms)
+        episodes = experiment.runs * arms * experiment.episodes
+        table.add_row(
+            name,
+            ", ".join(experiment.figures),
+            str(arms),
+            str(experiment.runs),
+            f"{episodes / 1e6:,.1f} M episodes",
+            experiment.title,
+        )
+    _out.print(table)
+
+
+@app.command()
+def validate(spec: _Reference, overrides: _Set = None) -> None:
+    """Check an experiment: everything that it names is built once."""
+    experiment = load_experiment(spec, overrides or [])
+    check(experiment)
+    arms = ", ".join(experiment.arms)
+    _out.print(
+        f"{experiment.name} ({experiment.identity}) is valid: arms {arms}; {experiment.runs} runs", highlight=False
+    )
+
+
+@app.command()
+def run(
+    spec: _Reference,
+    runs: Annotated[int | None, typer.Option(help="Number of runs.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed from which all runs' seeds follow.")] = None,
+    arms: Annotated[str | None, typer.Option(help="Only these arms, separated by commas.")] = None,
+    placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "actors",
+    shard_size: Annotated[int | None, typer.Option(min=1, help="Runs that are played side by side.")] = None,
+    address: Annotated[
+        str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT. Default: start one here.")
+    ] = None,
+    cpus: Annotated[int | None, typer.Option(min=1, help="CPUs of the Ray that is started here.")] = None,
+    results: Annotated[str, typer.Option(help="Folder or URI for the results.")] = "results",
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start over.")] = False,
+    overrides: _Set = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table.")] = False,
+) -> None:
+    """Run an experiment, or go on where it stopped."""
+    settings = Settings(
+        results=results,
+        arms=tuple(arms.split(",")) if arms else None,
+        placement=_placement(placement),
+        shard_size=shard_size,
+        address=address,
+        num_cpus=cpus,
+        fresh=fresh,
+    )
+    shortcuts = [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
+    experiment = load_experiment(spec, [*shortcuts, *(overrides or [])])
+    observer = TerminalObserver(_out)
+    try:
+        outcome = run_experiment(experiment, settings, None if quiet else observer)
+    finally:
+        observer.stop()
+    _finish(experiment, outcome, quiet=quiet)
+
+
+@app.command()
+def show(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
+    """Show the table of results, from the files alone."""
+    store = ResultStore(Folder(results))
+    _out.print(summary_table(store.summary(), store.manifest()))
+
+
+@app.command()
+def figures(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
+    """Draw the figures, from the files alone."""
+    store = ResultStore(Folder(results))
+    for path in _draw(store, store.experiment()):
+        _out.print(path, highlight=False)
+
+
+def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
+    store = outcome.store
+    drawn = _draw(store, experiment) if len(outcome.summary) else []
+    if not quiet and len(outcome.summary):
+        if not outcome.num_computed and not outcome.failures:
+            _out.print(
+                f"complete: {experiment.name} ({experiment.identity}) has all its runs; --fresh starts over",
+                highlight=False,
+            )
+        _out.print(summary_table(outcome.summary, store.manifest()))
+        for name in ("runs.parquet", "summary.parquet", "episodes/"):
+            _out.print(store.folder.location(name), highlight=False)
+        for path in drawn:
+            _out.print(path, highlight=False)
+    if outcome.failures:
+        for line in grouped(outcome.failures):
+            _err.print(f"error: {line}", style="red", highlight=False, markup=False)
+        raise typer.Exit(1)
+
+
+def _draw(store: ResultStore, experiment: Experiment) -> list[str]:
+    from jobs.figures import draw_figures
+
+    return draw_figures(store, experiment.title or experiment.name, experiment.episodes)
+
+
+def _placement(name: str) -> Placement:
+    if name not in ("actors", "packed", "local"):
+        message = f"--placement: found {name!r}, expected actors, packed or local"
+        raise SpecError(message)
+    return name  # type: ignore[return-value]
+
+
+@contextmanager
+def _exit_codes() -> Iterator[None]:
+    """Expected errors become one message and an exit code; anything else is a bug and keeps its traceback."""
+    try:
+        yield
+    except SpecError as error:
+        _fail(str(error), 2)
+    except (StoreError, ClusterError) as error:
+        _fail(str(error), 1 if isinstance(error, ClusterError) else 2)
+    except KeyboardInterrupt:
+        _fail("interrupted; what is finished is stored, and the same command goes on from here", 130)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    for line in message.splitlines():
+        _err.print(f"error: {line}", style="red", highlight=False, markup=False)
+    raise SystemExit(code)
+
+
+def _interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,266 @@
+"""The experiment file: what may stand in it, and what it means."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from apel.metrics import Criterion
+from apel.representations import Representation
+from cluster.shard import Recording
+from jobs.yaml_source import Place, Source, SpecError, parse
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=80)]
+Count = Annotated[int, Field(ge=1, strict=True)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _Open(BaseModel):
+    """Fields that are not named here are options of what ``type`` names."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options."""
+        return dict(self.model_extra or {})
+
+
+class EnvironmentSpec(_Model):
+    """Which environment; see `apel.EnvironmentConfig`."""
+
+    id: str
+    options: dict[str, Any] = {}
+    run_seed: str | None = None
+    max_episode_steps: Count | None = None
+
+
+class LearnerSpec(_Open):
+    """A learner by registry key or import path, what it sees, and its options."""
+
+    type: str
+    representation: dict[str, Any] = {}
+
+
+class SelectorSpec(_Open):
+    """A selector by registry key or import path, and its options."""
+
+    type: str
+
+
+class ArmSpec(_Model):
+    """One line in a figure: some learners, and the selector where there are several."""
+
+    learners: Annotated[list[Name], Field(min_length=1)]
+    selector: SelectorSpec | None = None
+
+    @model_validator(mode="after")
+    def _has_selector(self) -> ArmSpec:
+        if len(self.learners) > 1 and self.selector is None:
+            message = f"found {len(self.learners)} learners and no selector, expected a selector that picks among them"
+            raise ValueError(message)
+        return self
+
+
+class Experiment(_Model):
+    """An experiment: arms × sweep points × runs.
+
+    Attributes
+    ----------
+    seed:
+        From which the seeds of all runs follow (§4.1.4).
+    runs:
+        Number of runs; no part of the experiment's identity, so that more can be added later.
+    episodes:
+        Cap on the episodes of a run.
+    variables:
+        Values of which one is drawn uniformly per run; ``$name`` stands for it wherever an option may.
+    sweep:
+        Values for fields, by dotted path; every combination is a sweep point.
+    stop_when_met:
+        A run ends when the criterion holds.
+    """
+
+    name: Name
+    title: str = ""
+    figures: list[str] = []
+    seed: Annotated[int, Field(ge=0, strict=True)] = 1234
+    runs: Count = 100
+    episodes: Count
+    environment: EnvironmentSpec
+    variables: dict[Name, Annotated[list[Any], Field(min_length=1)]] = {}
+    learners: Annotated[dict[Name, LearnerSpec], Field(min_length=1)]
+    arms: Annotated[dict[Name, ArmSpec], Field(min_length=1)]
+    sweep: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    performance: str = "return"
+    criterion: Criterion | None = None
+    stop_when_met: bool = True
+    record: Recording = "log"
+
+    @field_validator("sweep")
+    @classmethod
+    def _sweepable(cls, sweep: dict[str, list[Any]]) -> dict[str, list[Any]]:
+        for path in sweep:
+            if path.split(".")[0] in {"name", "runs", "seed", "sweep", "arms"} and not path.startswith("arms."):
+                message = f"found the path {path!r}, expected a field that may differ between sweep points"
+                raise ValueError(message)
+        return sweep
+
+    @model_validator(mode="after")
+    def _known_learners(self) -> Experiment:
+        for arm, spec in self.arms.items():
+            for learner in spec.learners:
+                if learner not in self.learners:
+                    message = f"arms.{arm}.learners: found {learner!r}, expected one of {sorted(self.learners)}"
+                    raise ValueError(message)
+        return self
+
+    @property
+    def identity(self) -> str:
+        """Twelve hexadecimal digits that change with everything that changes a row; the number of runs does not."""
+        content = self.model_dump(mode="json", exclude={"runs", "title", "figures"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    def to_yaml(self) -> str:
+        """The experiment as a file."""
+        return yaml.safe_dump(self.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True)
+
+
+def shipped_experiments() -> dict[str, str]:
+    """Name → text of the experiment files that come with the package."""
+    folder = resources.files("jobs") / "experiments"
+    files = sorted((file for file in folder.iterdir() if file.name.endswith(".yaml")), key=lambda file: file.name)
+    return {file.name.removesuffix(".yaml"): file.read_text(encoding="utf-8") for file in files}
+
+
+def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment:
+    """The experiment of a file, or the shipped one of that name; ``overrides`` are ``path=value`` with YAML values.
+
+    Raises
+    ------
+    SpecError
+        If there is none, or it is not valid; one line per error.
+    """
+    source = parse(*_text_of(reference))
+    for override in overrides:
+        path, separator, value = override.partition("=")
+        if not separator or not path:
+            message = f"--set: found {override!r}, expected path=value"
+            raise SpecError(message)
+        try:
+            set_path(source.content, path, yaml.safe_load(value))
+        except (KeyError, yaml.YAMLError) as error:
+            message = f"--set {override}: {error.args[0] if isinstance(error, KeyError) else error}"
+            raise SpecError(message) from error
+    return validate(source)
+
+
+def validate(source: Source) -> Experiment:
+    """The experiment of a parsed document; see `load_experiment`."""
+    try:
+        return Experiment.model_validate(source.content)
+    except ValidationError as error:
+        raise SpecError("\n".join(_describe(source, one) for one in _most_specific(error))) from error
+
+
+def set_path(content: dict[str, Any], path: str, value: Any) -> None:
+    """Set a field by its dotted path (``arms.APEL.selector.decay``); list positions are numbers.
+
+    Raises
+    ------
+    KeyError
+        If the path leads through something that has no fields.
+    """
+    *parents, last = path.split(".")
+    node: Any = content
+    for part in parents:
+        if isinstance(node, list) and part.isdigit() and int(part) < len(node):
+            node = node[int(part)]
+        elif isinstance(node, dict):
+            node = node.setdefault(part, {})
+        else:
+            message = f"{path}: found {type(node).__name__} before {part!r}, expected a mapping"
+            raise KeyError(message)
+    if isinstance(node, list) and last.isdigit() and int(last) < len(node):
+        node[int(last)] = value
+    elif isinstance(node, dict):
+        node[last] = value
+    else:
+        message = f"{path}: found {type(node).__name__} before {last!r}, expected a mapping"
+        raise KeyError(message)
+
+
+def representation_of(spec: LearnerSpec, substituted: Mapping[str, Any]) -> Representation:
+    """The representation of a learner after its variables were filled in.
+
+    Raises
+    ------
+    ValueError
+        If it is not valid.
+    """
+    try:
+        return Representation(**substituted)
+    except (ValidationError, TypeError) as error:
+        found = error.errors()[0] if isinstance(error, ValidationError) else None
+        detail = f"{'.'.join(map(str, found['loc']))}: {found['msg']}" if found else str(error)
+        message = f"{spec.type}: representation: {detail}"
+        raise ValueError(message) from error
+
+
+def _text_of(reference: str) -> tuple[str, str]:
+    path = Path(reference)
+    if path.suffix in {".yaml", ".yml"} or "/" in reference:
+        try:
+            return path.read_text(encoding="utf-8"), reference
+        except (OSError, UnicodeDecodeError) as error:
+            message = f"{reference}: found no readable file: {getattr(error, 'strerror', None) or error}"
+            raise SpecError(message) from error
+    shipped = shipped_experiments()
+    if reference in shipped:
+        return shipped[reference], f"{reference}.yaml"
+    message = f"found the experiment {reference!r}, expected a file (*.yaml) or one of {', '.join(shipped)}"
+    raise SpecError(message)
+
+
+def _most_specific(error: ValidationError) -> list[Any]:
+    """One error per field: of the alternatives of a union, the one that was followed furthest."""
+    errors = error.errors()
+    places = [tuple(part for part in one["loc"] if _is_field(part)) for one in errors]
+    chosen: dict[Place, Any] = {}
+    for place, one in zip(places, errors, strict=True):
+        if any(other != place and other[: len(place)] == place for other in places):
+            continue
+        if place in chosen:
+            one["msg"] = f"{chosen[place]['msg']}, or {one['msg'].removeprefix('Input should be ')}"
+        chosen[place] = one
+    return list(chosen.values())
+
+
+def _describe(source: Source, error: Any) -> str:
+    place: Place = tuple(part for part in error["loc"] if _is_field(part))
+    path = ".".join(str(part) for part in place)
+    where = f"{source.where(place)}: {path}" if path else source.where(place)
+    if error["type"] == "extra_forbidden":
+        return f"{where}: found a field that does not exist here"
+    if error["type"] == "missing":
+        return f"{where}: found nothing, expected this field to be given"
+    if error["type"] in {"value_error", "assertion_error"}:
+        return f"{where}: {error['msg'].removeprefix('Value error, ')}"
+    return f"{where}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"
+
+
+def _is_field(part: str | int) -> bool:
+    """Pydantic adds the names of union members and of validators to a location."""
+    return isinstance(part, int) or not any(
+        mark in part for mark in ("[", "(", "Threshold", "Every", "literal", "float")
+    )

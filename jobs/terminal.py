@@ -1,0 +1,107 @@
+"""What the terminal shows: progress while it runs, then the table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pyarrow as pa
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from cluster.coordinator import ShardDone, ShardProgress
+from cluster.shard import Shard
+from jobs.manifest import arm_timings
+from jobs.runner import Observer
+
+
+class TerminalObserver(Observer):
+    """A progress bar per arm; plain lines where the output is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            TextColumn("{task.description:>12}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %  {task.fields[note]}"),
+            TimeElapsedColumn(),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._shards: dict[tuple[str, str, int], tuple[int, int, int]] = {}
+        self._num_runs: dict[str, int] = {}
+
+    def compiling(self) -> None:
+        """Say why nothing moves."""
+        self._console.print("compiling, this once: about half a minute", highlight=False)
+
+    def joined(self, dashboard_url: str, num_cpus: int) -> None:
+        """Say where the dashboard is."""
+        self._console.print(f"Ray with {num_cpus} CPUs", highlight=False)
+        if dashboard_url:
+            self._console.print(
+                f"dashboard: http://{dashboard_url} (asks for a token once: `ray get-auth-token` prints it)",
+                highlight=False,
+            )
+
+    def planned(self, shards: Sequence[Shard], num_finished: int) -> None:
+        """Start the bars."""
+        if num_finished:
+            self._console.print(f"{num_finished} runs were finished before", highlight=False)
+        episodes: dict[str, int] = {}
+        for shard in shards:
+            self._num_runs[shard.arm.arm] = self._num_runs.get(shard.arm.arm, 0) + len(shard.runs)
+            episodes[shard.arm.arm] = episodes.get(shard.arm.arm, 0) + len(shard.runs) * shard.arm.num_episodes
+        for arm, total in episodes.items():
+            self._tasks[arm] = self._progress.add_task(arm, total=total, note="waiting")
+        self._progress.start()
+
+    def progressed(self, shard: Shard, event: ShardProgress | ShardDone) -> None:
+        """Move the bar of the shard's arm."""
+        key = (shard.arm.arm, shard.arm.sweep, shard.runs[0].index)
+        if isinstance(event, ShardDone):
+            self._shards[key] = (len(shard.runs), len(shard.runs) * shard.arm.num_episodes, event.steps)
+        else:
+            self._shards[key] = (event.num_finished, event.episodes, event.steps)
+        arm = shard.arm.arm
+        mine = [values for (name, _, _), values in self._shards.items() if name == arm]
+        runs, episodes, steps = (sum(column) for column in zip(*mine, strict=True))
+        note = f"{runs}/{self._num_runs[arm]} runs, {steps / 1e6:,.1f} M steps"
+        self._progress.update(self._tasks[arm], completed=episodes, note=note)
+        if isinstance(event, ShardDone) and not self._console.is_terminal and runs == self._num_runs[arm]:
+            self._console.print(f"{arm}: {note}", highlight=False)
+
+    def stop(self) -> None:
+        """Leave the bars as they are."""
+        self._progress.stop()
+
+
+def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:
+    """The table of results."""
+    table = Table(title=manifest.get("experiment"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
+    rows = summary.to_pylist()
+    has_sweep = any(row["sweep"] for row in rows)
+    has_times = "mean_train_time" in summary.column_names
+    headings = ["arm", *(["sweep"] if has_sweep else []), "runs"]
+    headings += ["train time", "95 % interval", "IQM", "censored"] if has_times else ["episodes"]
+    for heading in (*headings, "wall time", "steps/s"):
+        table.add_column(heading, justify="left" if heading in {"arm", "sweep"} else "right", no_wrap=True)
+    timings = arm_timings(manifest)
+    for row in rows:
+        seconds, steps = timings.get(row["arm"], (0.0, 0.0))
+        cells = [row["arm"], *([row["sweep"]] if has_sweep else []), str(row["runs"])]
+        cells += _time_cells(row) if has_times else [f"{row['episodes']:,}"]
+        speed = f"{steps / seconds / 1e6:,.1f} M" if seconds else "-"
+        table.add_row(*cells, f"{seconds:,.1f} s", speed)
+    return table
+
+
+def _time_cells(row: dict[str, Any]) -> list[str]:
+    if row["mean_train_time"] is None:
+        return ["-"] * 4
+    interval = f"{row['interval_low']:,.0f} to {row['interval_high']:,.0f}"
+    censored = f"{row['num_censored']} of {row['runs']}"
+    return [f"{row['mean_train_time']:,.0f}", interval, f"{row['interquartile_mean']:,.0f}", censored]
