@@ -115,4 +115,4 @@ def _describe(name: str, error: Any) -> str:
     place = ".".join(str(part) for part in error["loc"])
     if error["type"] == "unexpected_keyword_argument":
         return f"{name}: found the option {place!r}, which it does not have"
-    return f"{name}: {place}: found {error['input']!r}, expected: {error['msg']}"
+    return f"{name}: {place}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"

@@ -10,6 +10,7 @@ last checkpoint.
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -37,6 +38,7 @@ Placement = Literal["actors", "packed"]
 # Batches below this size travel inside the messages; Ray's own limit of 100 kB sends most of them through the object
 # store, which costs several times as much.
 _INLINE_BYTES = 2_000_000
+_REACH_SECONDS = 5.0
 _INFRASTRUCTURE_FAULTS = (
     ray.exceptions.RayActorError,
     ray.exceptions.WorkerCrashedError,
@@ -61,16 +63,22 @@ def ray_cluster(
 ) -> Iterator[ClusterInfo]:
     """Join the cluster at ``address``, or start one on this machine and stop it at the end.
 
+    A process that is connected to a cluster already stays with that one.
+
     Raises
     ------
     ClusterError
-        If there is none at that address.
+        If there is none at that address, or if it has no CPU.
     """
+    if ray.is_initialized():
+        yield ClusterInfo("", _num_cpus())
+        return
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     # Ray's coming default; the present one warns in every process.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
+        _check_reachable(address)
         if address is None:
             system = {"max_direct_call_object_size": _INLINE_BYTES}
             context = ray.init(
@@ -78,14 +86,24 @@ def ray_cluster(
             )
         else:
             context = ray.init(address=address, **quiet)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        where = "start Ray on this machine" if address is None else f"reach a Ray cluster at {address!r}"
-        message = f"could not {where}: {error}"
+    except (OSError, ValueError, RuntimeError) as error:
+        reach = f"reach a Ray cluster at {address!r} (if it is there, is its token the one in RAY_AUTH_TOKEN?)"
+        message = f"could not {'start Ray on this machine' if address is None else reach}: {error}"
         raise ClusterError(message) from error
     try:
+        if not _num_cpus():
+            message = "found a Ray cluster without CPUs, expected at least one: start a worker node first"
+            raise ClusterError(message)
         yield ClusterInfo(context.dashboard_url or "", _num_cpus())
     finally:
         ray.shutdown()
+
+
+def _check_reachable(address: str | None) -> None:
+    """Ray itself goes on trying for a quarter of an hour where nothing listens."""
+    host, separator, port = (address or "").rpartition(":")
+    if separator and port.isdigit() and "://" not in host:
+        socket.create_connection((host, int(port)), timeout=_REACH_SECONDS).close()
 
 
 def _num_cpus() -> int:
@@ -193,7 +211,7 @@ class ShardPool:
         self._parts = (sink, checkpoints, execution)
         self._retry = retry or RetryPolicy()
         self._num_gangs = 0
-        self._faults: dict[Shard, int] = {}
+        self._faults: dict[tuple[str, str, int], int] = {}
         self._idle: list[_Gang] = []
         self._active: dict[Any, tuple[_Gang, Shard]] = {}
 
@@ -209,18 +227,12 @@ class ShardPool:
         ------
         ShardLostError
             If a shard's processes died too often.
-        ClusterError
-            If the cluster has no CPU.
         """
         queue = deque(shards)
         num_hosts = max((len(shard.arm.learner_names) for shard in shards), default=0)
-        room = min(len(shards), _num_cpus())
-        if shards and not room:
-            message = "the Ray cluster has no CPU to play on: start a worker, or give the head at least one CPU"
-            raise ClusterError(message)
         try:
-            self._idle = [self._new_gang(num_hosts) for _ in range(room)]
             while queue or self._active:
+                self._hire(len(queue), num_hosts)
                 while queue and self._idle:
                     self._begin(self._idle.pop(), queue.popleft())
                 yield from self._wait(num_hosts)
@@ -228,11 +240,20 @@ class ShardPool:
             for gang in (*self._idle, *(gang for gang, _ in self._active.values())):
                 gang.kill()
 
+    def _hire(self, num_waiting: int, num_hosts: int) -> None:
+        """Start gangs for waiting shards while there are CPUs: workers may join at any time."""
+        free = _num_cpus() - len(self._active) - len(self._idle) if num_waiting > len(self._idle) else 0
+        for _ in range(min(free, num_waiting - len(self._idle))):
+            self._idle.append(self._new_gang(num_hosts))
+
     def _begin(self, gang: _Gang, shard: Shard) -> None:
         self._active[gang.start(shard)] = (gang, shard)
 
     def _wait(self, num_hosts: int) -> Iterator[tuple[Shard, ShardProgress | ShardDone]]:
         generators: list[Any] = list(self._active)
+        if not generators:  # every CPU has left the cluster: wait for one to come back
+            time.sleep(1.0)
+            return
         ready: list[Any] = ray.wait(generators, num_returns=1, timeout=1.0)[0]
         for generator in ready:
             gang, shard = self._active[generator]
@@ -251,7 +272,7 @@ class ShardPool:
         cause = getattr(error, "cause", None)
         if not isinstance(error, _INFRASTRUCTURE_FAULTS) and not isinstance(cause, _INFRASTRUCTURE_FAULTS):
             raise cause if isinstance(cause, Exception) else error
-        faults = self._faults[shard] = self._faults.get(shard, 0) + 1
+        faults = self._faults[shard.key] = self._faults.get(shard.key, 0) + 1
         delay = self._retry.delay_seconds(faults)
         if delay is None:
             message = f"{shard.label}: its processes died {faults} times; the last time: {str(error).splitlines()[0]}"

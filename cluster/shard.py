@@ -93,6 +93,11 @@ class Shard:
     runs: tuple[RunPlan, ...]
 
     @property
+    def key(self) -> tuple[str, str, int]:
+        """Arm, sweep point and first run: no two shards of a job have the same."""
+        return self.arm.arm, self.arm.sweep, self.runs[0].index
+
+    @property
     def label(self) -> str:
         """For people: ``APEL · runs 0-49``."""
         sweep = f" [{self.arm.sweep}]" if self.arm.sweep else ""

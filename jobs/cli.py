@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 
 from cluster.errors import ClusterError, grouped
-from cluster.storage import Folder
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment, load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
@@ -28,7 +27,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_out = Console(soft_wrap=True)
+# Wide enough for the table where the output goes to a file or to a job's log.
+_out = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 _err = Console(stderr=True, soft_wrap=True)
 
 _Reference = Annotated[
@@ -43,7 +43,7 @@ def main() -> None:
     sys.path.insert(0, str(Path.cwd()))
     signal.signal(signal.SIGTERM, _interrupt)
     with _exit_codes():
-        app()
+        app(prog_name="apel")
 
 
 @app.command("list")
@@ -116,14 +116,14 @@ def run(
 @app.command()
 def show(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
     """Show the table of results, from the files alone."""
-    store = ResultStore(Folder(results))
+    store = ResultStore.at(results)
     _out.print(summary_table(store.summary(), store.manifest()))
 
 
 @app.command()
 def figures(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
     """Draw the figures, from the files alone."""
-    store = ResultStore(Folder(results))
+    store = ResultStore.at(results)
     for path in _draw(store, store.experiment()):
         _out.print(path, highlight=False)
 

@@ -58,28 +58,38 @@ def plan_shards(
     finished: Collection[RunKey],
     num_cpus: int,
 ) -> list[Shard]:
-    """The shards of all runs that are not ``finished``, in the order of the file.
+    """The shards of all runs that are not ``finished``: those of the arms with most learners first.
 
     Runs are cut at multiples of the shard size, so that an interrupted job finds its checkpoints again. Without a
-    shard size each arm is cut into as many shards as there are CPUs, and at most 100 runs each.
+    shard size see `default_shard_size`.
     """
     shards = []
     seeds = run_seeds(experiment.seed, experiment.runs)
-    size = shard_size or default_shard_size(experiment.runs, num_cpus)
-    for point in sweep_points(experiment):
-        for arm in point.experiment.arms:
-            if arms is not None and arm not in arms:
-                continue
-            missing = [i for i in range(experiment.runs) if (arm, point.label, i) not in finished]
-            plan = arm_plan(point, arm)
-            for _, group in itertools.groupby(missing, key=lambda index: index // size):
-                shards.append(Shard(plan, tuple(run_plan(point.experiment, arm, i, seeds[i]) for i in group)))
-    return shards
+    points = [
+        (point, arm)
+        for point in sweep_points(experiment)
+        for arm in point.experiment.arms
+        if arms is None or arm in arms
+    ]
+    num_ensembles = sum(len(point.experiment.arms[arm].learners) > 1 for point, arm in points)
+    for point, arm in points:
+        num_learners = len(point.experiment.arms[arm].learners)
+        size = shard_size or default_shard_size(experiment.runs, num_cpus, num_learners, num_ensembles)
+        missing = [i for i in range(experiment.runs) if (arm, point.label, i) not in finished]
+        plan = arm_plan(point, arm)
+        for _, group in itertools.groupby(missing, key=lambda index, size=size: index // size):  # type: ignore[misc]
+            shards.append(Shard(plan, tuple(run_plan(point.experiment, arm, i, seeds[i]) for i in group)))
+    return sorted(shards, key=lambda shard: -len(shard.arm.learner_names))
 
 
-def default_shard_size(num_runs: int, num_cpus: int) -> int:
-    """Large shards share the cost of a message among many runs; as many shards as CPUs keep all of them busy."""
-    return min(max(-(-num_runs // max(num_cpus, 1)), 1), 100)
+def default_shard_size(num_runs: int, num_cpus: int, num_learners: int, num_ensembles: int) -> int:
+    """How many runs to play side by side; at most 100.
+
+    The runs of an ensemble share the cost of its messages, so its shards are as large as can be with one for every
+    CPU. A learner alone sends none: its shards are small, and fill up the CPUs towards the end of the job.
+    """
+    shards_per_arm = -(-num_cpus // num_ensembles) if num_learners > 1 else 2 * num_cpus
+    return min(max(-(-num_runs // shards_per_arm), 1), 100)
 
 
 def arm_plan(point: SweepPoint, arm: str) -> ArmPlan:

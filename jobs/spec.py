@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from apel.metrics import Criterion
 from apel.representations import Representation
@@ -106,6 +106,7 @@ class Experiment(_Model):
     criterion: Criterion | None = None
     stop_when_met: bool = True
     record: Recording = "log"
+    _source: Source | None = PrivateAttr(default=None)
 
     @field_validator("sweep")
     @classmethod
@@ -130,6 +131,11 @@ class Experiment(_Model):
         """Twelve hexadecimal digits that change with everything that changes a row; the number of runs does not."""
         content = self.model_dump(mode="json", exclude={"runs", "title", "figures"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    def where(self, *place: str) -> str:
+        """``file:line: field`` of one of its fields, as errors name it."""
+        path = ".".join(place)
+        return f"{self._source.where(place)}: {path}" if self._source else path
 
     def to_yaml(self) -> str:
         """The experiment as a file."""
@@ -168,9 +174,11 @@ def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment
 def validate(source: Source) -> Experiment:
     """The experiment of a parsed document; see `load_experiment`."""
     try:
-        return Experiment.model_validate(source.content)
+        experiment = Experiment.model_validate(source.content)
     except ValidationError as error:
         raise SpecError("\n".join(_describe(source, one) for one in _most_specific(error))) from error
+    experiment._source = source
+    return experiment
 
 
 def set_path(content: dict[str, Any], path: str, value: Any) -> None:

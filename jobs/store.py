@@ -57,8 +57,23 @@ class ResultStore:
 
     @classmethod
     def of(cls, experiment: Experiment, root: str) -> ResultStore:
-        """Where the results of ``experiment`` belong below ``root``."""
-        return cls(Folder(root).sub(experiment.name).sub(experiment.identity))
+        """Where the results of ``experiment`` belong below ``root``.
+
+        Raises
+        ------
+        StoreError
+            If that is no place that can be used.
+        """
+        return cls.at(f"{root.rstrip('/')}/{experiment.name}/{experiment.identity}")
+
+    @classmethod
+    def at(cls, location: str) -> ResultStore:
+        """The results in a folder, by path or URI; see `of`."""
+        try:
+            return cls(Folder(location))
+        except (OSError, ValueError, ImportError) as error:
+            message = f"{location}: found no place for results: {error}"
+            raise StoreError(message) from error
 
     def open_for_writing(self, experiment: Experiment, *, fresh: bool) -> None:
         """Make the folder ready: forget everything if ``fresh``, and what an interrupted job left half-done.

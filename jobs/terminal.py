@@ -61,11 +61,10 @@ class TerminalObserver(Observer):
 
     def progressed(self, shard: Shard, event: ShardProgress | ShardDone) -> None:
         """Move the bar of the shard's arm."""
-        key = (shard.arm.arm, shard.arm.sweep, shard.runs[0].index)
         if isinstance(event, ShardDone):
-            self._shards[key] = (len(shard.runs), len(shard.runs) * shard.arm.num_episodes, event.steps)
+            self._shards[shard.key] = (len(shard.runs), len(shard.runs) * shard.arm.num_episodes, event.steps)
         else:
-            self._shards[key] = (event.num_finished, event.episodes, event.steps)
+            self._shards[shard.key] = (event.num_finished, event.episodes, event.steps)
         arm = shard.arm.arm
         mine = [values for (name, _, _), values in self._shards.items() if name == arm]
         runs, episodes, steps = (sum(column) for column in zip(*mine, strict=True))

@@ -10,13 +10,17 @@ from apel.environments import World
 from apel.seeding import run_seeds
 from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
-from jobs.plan import SweepPoint, arm_plan, run_plan, sweep_points
+from jobs.plan import SweepPoint, arm_plan, draw_variables, run_plan, sweep_points
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 
+_MAX_RUNS_LOOKED_AT, _MAX_RUNS_BUILT = 1000, 20
+
 
 def check(experiment: Experiment, arms: Collection[str] | None = None) -> None:
-    """Build the first run of every arm and sweep point, and throw it away.
+    """Build a run of every arm and sweep point, and throw it away.
+
+    Where runs differ by the variables drawn for them, a run of each kind is built.
 
     Raises
     ------
@@ -30,32 +34,41 @@ def check(experiment: Experiment, arms: Collection[str] | None = None) -> None:
     for point in sweep_points(experiment):
         for arm in point.experiment.arms:
             if arms is None or arm in arms:
-                _check_arm(point, arm)
+                for index, seed in _distinct_runs(point.experiment):
+                    _check_run(point, arm, index, seed)
 
 
-def _check_arm(point: SweepPoint, arm: str) -> None:
-    seed = run_seeds(point.experiment.seed, 1)[0]
-    prefix = f"[{point.label}] " if point.label else ""
-    place = f"arms.{arm}"
+def _distinct_runs(experiment: Experiment) -> list[tuple[int, int]]:
+    """Index and seed of the first run of each combination of variables, a bounded number of them."""
+    seeds = run_seeds(experiment.seed, experiment.runs)
+    kinds: dict[str, tuple[int, int]] = {}
+    for index, seed in enumerate(seeds[:_MAX_RUNS_LOOKED_AT]):
+        kinds.setdefault(repr(draw_variables(experiment, seed)), (index, seed))
+    return list(kinds.values())[:_MAX_RUNS_BUILT]
+
+
+def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
+    experiment = point.experiment
+    place: tuple[str, ...] = ("arms", arm)
     try:
-        run = run_plan(point.experiment, arm, 0, seed)
+        run = run_plan(experiment, arm, index, seed)
         plan = arm_plan(point, arm)
-        place = "environment"
+        place = ("environment",)
         world = make_run_world(run)
-        place = "performance"
+        place = ("performance",)
         make_performance(plan.performance)
-        for index, name in enumerate(point.experiment.arms[arm].learners):
-            place = f"learners.{name}"
-            _build_learner(run, world, index, plan)
-        place = f"arms.{arm}.selector"
+        for position, name in enumerate(experiment.arms[arm].learners):
+            place = ("learners", name)
+            _build_learner(run, world, position, plan)
+        place = ("arms", arm, "selector")
         selector = make_selector(plan.selector)
         selector.initial_state(len(run.learners), plan.num_episodes)
-        place = "criterion"
+        place = ("criterion",)
         open_book(selector, len(run.learners), plan.num_episodes, plan.criterion, [seed], [world.info])
     except Exception as error:
         # Whatever a user's own class raises when it is made is bad input, and gets the same one line.
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        message = f"{prefix}{place}: {kind}{error}"
+        message = f"{experiment.where(*place)}: {kind}{error}"
         raise SpecError(message) from error
 
 

@@ -1,0 +1,20 @@
+# The image of every node: Ray of the pinned version (constraints.txt), with this project on top.
+FROM rayproject/ray:2.60.0-py311-cpu
+
+# A new volume at /results takes its owner from this folder; Ray runs as user `ray`, who could not write to root's.
+USER root
+RUN install -d -o ray -g users /results
+USER ray
+
+COPY --chown=ray:users pyproject.toml constraints.txt README.md /tmp/apel/
+COPY --chown=ray:users apel /tmp/apel/apel
+COPY --chown=ray:users cluster /tmp/apel/cluster
+COPY --chown=ray:users jobs /tmp/apel/jobs
+# The sources go again: of two copies, Python and the cache of compiled code would now and then take the wrong one.
+RUN cd /tmp/apel && pip install --no-cache-dir -c constraints.txt . && rm -rf /tmp/apel
+
+# Compile now, once: otherwise every process of a new container would compile the same at the same time. It is done
+# again by itself where the CPU is of another kind than the builder's.
+RUN apel run distractor-maze --runs 1 --set episodes=50 --placement local --results /tmp/warm --quiet && rm -rf /tmp/warm
+
+WORKDIR /home/ray

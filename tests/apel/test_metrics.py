@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from apel.metrics import Criterion, Threshold, criterion_met
+
+
+def when_met(criterion: Criterion, threshold: float, episodes: Sequence[tuple[int, float]]) -> list[bool]:
+    """Feed (length, return) pairs to the running criterion: whether it holds after each."""
+    recent = np.zeros(criterion.window)
+    return [
+        bool(criterion_met(criterion.parameters(), threshold, recent, e, length, episode_return))
+        for e, (length, episode_return) in enumerate(episodes)
+    ]
+
+
+def test_threshold_is_rounded_once() -> None:
+    """1.1 × 34 is the float 37.4, not the product of the floats, which is 37.400000000000006."""
+    criterion = Criterion("length", 50, below=Threshold(1.1, "optimal_length"))
+    assert criterion.threshold({"optimal_length": 34}) == 37.4
+    assert 1.1 * 34 != 37.4
+
+
+@given(tenths=st.integers(1, 50), length=st.integers(1, 200))
+def test_threshold_is_the_float_nearest_to_the_exact_product(tenths: int, length: int) -> None:
+    """Factor × number is worked out exactly and rounded once."""
+    criterion = Criterion("length", 1, below=Threshold(tenths / 10, "optimal_length"))
+    assert criterion.threshold({"optimal_length": length}) == float(Fraction(tenths * length, 10))
+
+
+def test_mean_on_the_threshold_is_not_below_it() -> None:
+    """Of lengths 37 and 38, three to two, the mean is exactly 37.4, which is not below 1.1 × 34; one move less is."""
+    criterion = Criterion("length", 5, below=Threshold(1.1, "optimal_length"))
+    threshold = criterion.threshold({"optimal_length": 34})
+    # (3 · 37 + 2 · 38) / 5 = 187 / 5 = 37.4; with another 37 for a 38: 186 / 5 = 37.2.
+    lengths = [37, 38, 37, 38, 37, 37, 37]
+    assert when_met(criterion, threshold, [(n, 0.0) for n in lengths]) == [False] * 5 + [False, True]
+
+
+def test_mean_on_the_threshold_is_at_least_it() -> None:
+    """A mean return of exactly 195 solves CartPole (§4.1.2)."""
+    criterion = Criterion("return", 4, at_least=195.0)
+    returns = [194.0, 196.0, 194.0, 195.9, 194.1, 196.0]
+    # Means of four: 194.975, 195.0, 195.0.
+    assert when_met(criterion, criterion.threshold({}), [(1, r) for r in returns]) == [False] * 4 + [True, True]
+
+
+def test_at_least_takes_a_threshold_from_the_environment() -> None:
+    """Both bounds may be a multiple of a reported number."""
+    assert Criterion("return", 1, at_least=Threshold(0.5, "best")).threshold({"best": 3.0}) == 1.5
+
+
+def test_window_must_be_full() -> None:
+    """The criterion never holds before ``window`` episodes were played, however good they are."""
+    criterion = Criterion("length", 50, below=37.4)
+    assert when_met(criterion, 37.4, [(1, 0.0)] * 51) == [False] * 49 + [True, True]
+
+
+def test_measure_is_the_named_one() -> None:
+    """'length' looks at lengths only, 'return' at returns only."""
+    episodes = [(10, 1.0), (1, 10.0)]
+    assert when_met(Criterion("length", 1, below=5.0), 5.0, episodes) == [False, True]
+    assert when_met(Criterion("return", 1, below=5.0), 5.0, episodes) == [True, False]
+
+
+@given(
+    measure=st.sampled_from(["length", "return"]),
+    direction=st.sampled_from(["below", "at_least"]),
+    window=st.integers(1, 8),
+    bound=st.integers(0, 12),
+    episodes=st.lists(st.tuples(st.integers(1, 12), st.integers(0, 12).map(float)), max_size=40),
+)
+def test_criterion_agrees_with_the_mean_of_the_whole_history(
+    measure: str, direction: str, window: int, bound: int, episodes: list[tuple[int, float]]
+) -> None:
+    """The running criterion is the plain one: the mean of the last ``window`` measures against the bound.
+
+    Whole numbers, so that the sum is exact; bounds at which ties happen.
+    """
+    options: dict[str, Any] = {direction: float(bound)}
+    criterion = Criterion(measure, window, **options)  # type: ignore[arg-type]
+    expected = []
+    for played in range(1, len(episodes) + 1):
+        last = [Fraction(int(pair[measure == "return"])) for pair in episodes[:played]][-window:]
+        mean = sum(last) / window
+        expected.append(len(last) == window and (mean < bound if direction == "below" else mean >= bound))
+    assert when_met(criterion, criterion.threshold({}), episodes) == expected
+
+
+def test_missing_info_is_named() -> None:
+    """A threshold on a number that the environment does not report says which it does report."""
+    criterion = Criterion("length", 50, below=Threshold(1.1, "optimal_length"))
+    with pytest.raises(ValueError, match=r"info: found 'optimal_length', .* reports: \['height', 'width'\]"):
+        criterion.threshold({"width": 3.0, "height": 4.0})
+
+
+@pytest.mark.parametrize("bounds", [{}, {"below": 1.0, "at_least": 1.0}])
+def test_exactly_one_bound(bounds: dict[str, float]) -> None:
+    """A criterion has one bound: neither none nor two."""
+    with pytest.raises(ValueError, match="expected exactly one"):
+        Criterion("length", 50, **bounds)
+
+
+@pytest.mark.parametrize(
+    ("field", "options"),
+    [
+        ("window", {"measure": "length", "window": 0, "below": 1.0}),
+        ("measure", {"measure": "speed", "window": 1, "below": 1.0}),
+        ("below", {"measure": "length", "window": 1, "below": math.nan}),
+        ("above", {"measure": "length", "window": 1, "above": 1.0}),
+    ],
+)
+def test_criterion_refuses_what_makes_no_sense(field: str, options: dict[str, Any]) -> None:
+    """An empty window, an unknown measure, a bound that is no number, an unknown option: refused by name."""
+    with pytest.raises(ValueError, match=field):
+        Criterion(**options)
+
+
+def test_threshold_factor_is_positive() -> None:
+    """A factor of zero or less would make a bound that nothing meets."""
+    with pytest.raises(ValueError, match="factor"):
+        Threshold(factor=0.0, info="optimal_length")

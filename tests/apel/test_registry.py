@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from apel.learners.q_learning import QLearning
+from apel.registry import LEARNERS, METRICS, SELECTORS, load, resolve
+from apel.selectors import Apel
+
+
+def test_shipped_names() -> None:
+    """The names that experiment files use."""
+    assert set(LEARNERS) == {"q_learning"}
+    assert set(SELECTORS) == {"apel", "ssbas", "uniform", "fixed"}
+    assert set(METRICS) == {"return", "negative_length"}
+
+
+def test_name_stands_for_what_is_shipped() -> None:
+    """A registry key is looked up, nothing imported."""
+    assert resolve("apel", SELECTORS, "selector") is Apel
+
+
+def test_import_path_stands_for_its_object() -> None:
+    """``package.module:Name`` is imported, of ours or of anyone's."""
+    assert resolve("apel.learners.q_learning:QLearning", LEARNERS, "learner") is QLearning
+    assert load("math:tau") == math.tau
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("q_lerning", "found the learner 'q_lerning', expected one of ['q_learning'] or an import path"),
+        ("", "found the learner '', expected one of ['q_learning'] or an import path"),
+        ("math.tau", "found the learner 'math.tau', expected one of ['q_learning'] or an import path"),
+        ("math:tao", "found the import path 'math:tao', but module 'math' has no 'tao'"),
+        ("math:", "found the import path 'math:', but module 'math' has no ''"),
+        (
+            "no_such_module:Name",
+            "importing 'no_such_module' failed: ModuleNotFoundError: No module named 'no_such_module'",
+        ),
+        (":Name", "found the import path ':Name', but importing '' failed"),
+        ("tests.apel.broken_module:Name", "importing 'tests.apel.broken_module' failed: ZeroDivisionError: division"),
+    ],
+)
+def test_unknown_name_is_one_clear_line(name: str, message: str) -> None:
+    """Whatever is wrong with a name or a path, the answer is a `ValueError` of one line that says what was found."""
+    with pytest.raises(ValueError, match="found the") as error:
+        resolve(name, LEARNERS, "learner")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)

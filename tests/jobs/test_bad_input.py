@@ -1,0 +1,189 @@
+"""Bad input ends in one clear message, the right exit code and no traceback, before Ray starts, and costs no result."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from jobs.cli import main
+from tests.conftest import SMALL
+
+
+@pytest.fixture(autouse=True)
+def _no_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is refused here is refused before Ray is so much as imported."""
+    monkeypatch.setitem(sys.modules, "cluster.launch", None)
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    """Exit code and standard error of a command."""
+    capsys.readouterr()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["apel", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+    return int(caught.value.code or 0), capsys.readouterr().err
+
+
+BAD_FIELDS = {
+    "unknown field": ("episodse=3", "episodse: found a field that does not exist here"),
+    "unknown field, nested": ("environment.idd=x", "environment.idd: found a field that does not exist here"),
+    "wrong type": ("episodes=many", "episodes: found 'many'"),
+    "fraction for a count": ("runs=1.5", "runs: found 1.5"),
+    "no runs": ("runs=0", "runs: found 0, expected greater than or equal to 1"),
+    "negative seed": ("seed=-1", "seed: found -1"),
+    "decay of 1": ("arms.APEL.selector.decay=1.0", "decay: found 1.0, expected less than 1"),
+    "decay below 0": ("arms.APEL.selector.decay=-0.1", "decay: found -0.1"),
+    "decay no number": ("arms.APEL.selector.decay=.nan", "decay: found nan"),
+    "selector option unknown": ("arms.APEL.selector.nu=0.1", "found the option 'nu', which it does not have"),
+    "no such selector": ("arms.APEL.selector.type=best", "found the selector 'best', expected one of"),
+    "prior too short": ("arms.APEL.selector.prior=[1.0]", "found 1 concentrations, expected one per learner, 2"),
+    "no such learner": ("arms.APEL.learners=[Q_full, Q_none]", "found 'Q_none', expected one of"),
+    "no learner": ("arms.APEL.learners=[]", "arms.APEL.learners: found []"),
+    "no arm": ("arms={}", "arms: found {}"),
+    "several learners, no selector": ("arms.Q_full.learners=[Q_full, Q_red]", "found 2 learners and no selector"),
+    "no such learner type": ("learners.Q_full.type=sarsa", "found the learner 'sarsa', expected one of"),
+    "learning rate": ("learners.Q_full.learning_rate=0", "learning_rate: found 0, expected greater than 0"),
+    "discount above 1": ("learners.Q_full.discount=1.01", "discount: found 1.01, expected less than or equal to 1"),
+    "learner option unknown": ("learners.Q_full.gamma=1", "found the option 'gamma', which it does not have"),
+    "feature unknown": ("learners.Q_red.representation.exclude=[z]", "found 'z', expected one of ['x', 'y'"),
+    "no feature left": ("learners.Q_red.representation.exclude=[x, y, 2]", "expected at least one of"),
+    "variable unknown": ("learners.Q_red.representation.exclude=[$lost]", "found '$lost', expected one of"),
+    "a later run's draw is bad": ("variables.dropped=[x, z]", "found 'z', expected one of"),
+    "variable without values": ("variables.dropped=[]", "variables.dropped: found []"),
+    "import path, no module": ("learners.Q_full.type=nowhere.at:All", "importing 'nowhere.at' failed"),
+    "import path, no name": ("learners.Q_full.type=tests.user_code:None_", "has no 'None_'"),
+    "import path, no learner": ("learners.Q_full.type=tests.user_code:NOT_A_LEARNER", "not callable"),
+    "not off-policy": ("learners.Q_full.type=tests.user_code:OnPolicy", "is not off-policy"),
+    "no such environment": ("environment.id=Maze-v9", "Environment `Maze` doesn't exist"),
+    "environment option": ("environment.options.width=3", "unexpected keyword argument 'width'"),
+    "impossible length": ("environment.options.optimal_length=[1, 2]", "none of 10000 mazes"),
+    "length range reversed": ("environment.options.optimal_length=[9, 3]", "expected a number of moves or"),
+    "box actions": ("environment={id: Pendulum-v1}", "found the action space Box"),
+    "box observations for a table": ("environment={id: CartPole-v1}", "found the observation space Box"),
+    "no limit to an episode": ("environment={id: CliffWalking-v1}", "give max_episode_steps"),
+    "no such measure": ("performance=profit", "found the performance measure 'profit'"),
+    "criterion without bound": ("criterion={measure: length, window: 5}", "expected exactly one"),
+    "criterion with both": ("criterion={measure: length, window: 5, below: 3, at_least: 2}", "expected exactly one"),
+    "criterion of what is not reported": ("criterion.below.info=best", "found 'best', expected one of those"),
+    "window of 0": ("criterion.window=0", "criterion.window: found 0"),
+    "record": ("record=some", "record: found 'some', expected 'all', 'log' or 'none'"),
+    "record every 0": ("record={every: 0}", "record.every: found 0"),
+    "sweep over nothing": ("sweep={episodes: []}", "sweep.episodes: found []"),
+    "sweep of a bad value": ("sweep={episodes: [10, -1]}", "episodes: found -1"),
+    "sweep of runs": ("sweep={runs: [1, 2]}", "expected a field that may differ between sweep points"),
+    "path through a number": ("episodes.first=3", "expected a mapping"),
+    "no value": ("episodes", "expected path=value"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FIELDS)
+def test_bad_field(name: str, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A field with a bad value is refused with what was found and what was expected, and nothing is written."""
+    override, expected = BAD_FIELDS[name]
+    results = tmp_path / "results"
+    code, error = call(capsys, "run", str(small), "--results", str(results), "--set", override)
+    assert code == 2
+    assert error.startswith("error: ")
+    assert expected in error
+    assert "Traceback" not in error
+    assert not results.exists()
+    assert call(capsys, "validate", str(small), "--set", override)[0] == 2
+
+
+BAD_FILES = {
+    "no YAML": ("name: [", "found no valid YAML"),
+    "a list": ("- name", "expected a mapping"),
+    "empty": ("", "expected a mapping"),
+    "duplicate arm": (SMALL.replace("  APEL: {", "  Q_full: {"), "arms.Q_full: found twice, expected once"),
+    "duplicate learner": (SMALL.replace("  Q_red: {type", "  Q_full: {type"), "learners.Q_full: found twice"),
+    "missing field": (SMALL.replace("episodes: 80", ""), "episodes: found nothing, expected this field"),
+    "bad name": (SMALL.replace("name: small-maze", "name: ../up"), "name: found '../up'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_file(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that is no experiment is refused, with its name and, where there is one, the line."""
+    text, expected = BAD_FILES[name]
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    code, error = call(capsys, "run", str(path), "--results", str(tmp_path / "results"))
+    assert code == 2
+    assert str(path) in error
+    assert expected in error
+    assert "Traceback" not in error
+
+
+def test_line_of_an_error(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An error names the line of the field."""
+    line = 1 + SMALL[: SMALL.index("criterion:")].count("\n")
+    code, error = call(capsys, "validate", str(small), "--set", "criterion.window=-1")
+    assert (code, error.split(": ")[1]) == (2, f"{small}:{line}")
+
+
+BAD_CALLS = {
+    "no such file": (["run", "nowhere.yaml"], "nowhere.yaml: found no readable file"),
+    "no such experiment": (["run", "nothing"], "found the experiment 'nothing', expected a file (*.yaml) or one of"),
+    "no such arm": (["run", "distractor-maze", "--arms", "APEL,Best"], "--arms: found 'Best', expected some of"),
+    "no such placement": (["run", "distractor-maze", "--placement", "cloud"], "expected actors, packed or local"),
+    "shards of nothing": (["run", "distractor-maze", "--shard-size", "0"], "--shard-size"),
+    "runs is a word": (["run", "distractor-maze", "--runs", "many"], "--runs"),
+    "results that are none": (["show", "nowhere"], "found no runs.parquet"),
+    "figures of nothing": (["figures", "nowhere"], "found no runs.parquet"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CALLS)
+def test_bad_call(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A call that makes no sense is refused."""
+    monkeypatch.chdir(tmp_path)
+    arguments, expected = BAD_CALLS[name]
+    code, error = call(capsys, *arguments)
+    assert code == 2
+    assert expected in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_below_a_file(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A results folder that cannot be written to is refused."""
+    (tmp_path / "occupied").write_text("a file")
+    code, error = call(capsys, "run", str(small), "--results", str(tmp_path / "occupied"))
+    assert code == 2
+    assert "found a results folder that cannot be written to" in error
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only the superuser can make a folder immutable")
+def test_read_only_results(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file system that takes no writes is refused (/proc is one everywhere)."""
+    code, error = call(capsys, "run", str(small), "--results", "/proc/results")
+    assert code == 2
+    assert "cannot be written to" in error
+
+
+def test_bad_uri(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A results URI of an unknown kind is refused."""
+    code, error = call(capsys, "run", str(small), "--results", "nosuch://bucket/results")
+    assert code == 2
+    assert "nosuch://bucket/results" in error
+
+
+def test_earlier_results_stay(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A refused call leaves what was computed before as it was."""
+    results = tmp_path / "results"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["apel", "run", str(small), "--placement", "local", "--results", str(results)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+    assert caught.value.code in (0, None)
+    before = {path: path.read_bytes() for path in results.rglob("*") if path.is_file()}
+    assert before
+    code, _ = call(capsys, "run", str(small), "--results", str(results), "--set", "runs=0", "--fresh")
+    assert code == 2
+    assert {path: path.read_bytes() for path in results.rglob("*") if path.is_file()} == before

@@ -1,0 +1,71 @@
+"""The same spec and seed give the same rows, whatever the placement, the shard size and the length of streaks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cluster.shard import Execution
+from jobs.runner import Settings, run_experiment
+from jobs.spec import load_experiment
+from tests.same_rows import assert_same, folder_of
+
+
+def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
+    """Run an experiment; where its results are."""
+    outcome = run_experiment(
+        load_experiment(str(spec), overrides),
+        Settings(results=str(results), dashboard=False, **settings),  # type: ignore[arg-type]
+    )
+    assert outcome.failures == []
+    return folder_of(outcome)
+
+
+@pytest.fixture
+def reference(small: Path, tmp_path: Path) -> Path:
+    """All runs of an arm in one shard, in this process."""
+    return play(small, tmp_path / "reference", placement="local", shard_size=100)
+
+
+@pytest.mark.parametrize("shard_size", [1, 7, 50, 100])
+def test_shard_size_changes_no_row(small: Path, tmp_path: Path, shard_size: int) -> None:
+    """A hundred runs give the same rows in shards of 1, 7, 50 and 100."""
+    many = ("runs=100", "episodes=25", "record=log")
+    whole = play(small, tmp_path / "whole", *many, placement="local", shard_size=100)
+    parts = play(small, tmp_path / "parts", *many, placement="local", shard_size=shard_size)
+    assert_same(whole, parts)
+
+
+@pytest.mark.parametrize("streak_episodes", [1, 5, 50])
+def test_streak_limit_changes_no_row(small: Path, reference: Path, tmp_path: Path, streak_episodes: int) -> None:
+    """However long a host may keep a run, the rows are the same."""
+    execution = Execution(streak_episodes=streak_episodes)
+    assert_same(reference, play(small, tmp_path / "streak", placement="local", execution=execution))
+
+
+def test_step_limit_changes_no_row(small: Path, reference: Path, tmp_path: Path) -> None:
+    """However large a message may be, the rows are the same."""
+    execution = Execution(streak_steps=1)
+    assert_same(reference, play(small, tmp_path / "steps", placement="local", execution=execution))
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("placement", ["actors", "packed"])
+@pytest.mark.parametrize("shard_size", [2, 100])
+def test_placement_changes_no_row(
+    ray_session: None, small: Path, reference: Path, tmp_path: Path, placement: str, shard_size: int
+) -> None:
+    """Ray actors give the rows that this process gives."""
+    assert_same(reference, play(small, tmp_path / "ray", placement=placement, shard_size=shard_size))
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("cpus", [1, 2])
+def test_number_of_cpus_changes_no_row(small: Path, reference: Path, tmp_path: Path, cpus: int) -> None:
+    """A Ray of one CPU, with more actors than that, gives the same rows as one of two, without deadlock."""
+    command = [sys.executable, "-m", "jobs", "run", str(small), "--cpus", str(cpus), "--shard-size", "2", "--quiet"]
+    subprocess.run([*command, "--results", str(tmp_path / "cpus")], check=True, timeout=120)
+    assert_same(reference, tmp_path / "cpus" / "small-maze" / reference.name)

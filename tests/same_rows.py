@@ -1,0 +1,37 @@
+"""Results compared value for value, whatever the order of the files' rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from jobs.runner import Outcome
+
+
+def run_rows(folder: Path) -> pd.DataFrame:
+    """``runs.parquet`` by key."""
+    return pd.read_parquet(folder / "runs.parquet").sort_values(["arm", "sweep", "run_index"]).reset_index(drop=True)
+
+
+def episode_rows(folder: Path) -> pd.DataFrame:
+    """All of ``episodes/`` by key, lists as tuples."""
+    rows = pd.read_parquet(folder / "episodes")
+    rows["arm"] = rows["arm"].astype(str)
+    for column in ("probability", "performance_estimate", "concentration"):
+        rows[column] = [tuple(None if value != value else value for value in values) for values in rows[column]]
+    return rows.sort_values(["arm", "sweep", "run_index", "episode"]).reset_index(drop=True)
+
+
+def folder_of(outcome: Outcome) -> Path:
+    """Where an outcome is stored."""
+    return Path(outcome.store.folder.path())
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """Runs and episodes are equal, value for value, and there are some."""
+    runs, episodes = run_rows(one), episode_rows(one)
+    assert len(runs) > 0
+    assert len(episodes) > 0
+    pd.testing.assert_frame_equal(runs, run_rows(other), check_exact=True)
+    pd.testing.assert_frame_equal(episodes, episode_rows(other), check_exact=True)

@@ -1,0 +1,124 @@
+"""Code as users write it, named by import path in the tests' experiments."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from apel import Trajectory, Transition
+
+
+class Corridor(gymnasium.Env[int, int]):
+    """Five cells in a row; the right end pays 1. Fails in the way it is told to, in the given episode."""
+
+    def __init__(self, fault: str = "", episode: int = 40, length: int = 5) -> None:
+        self.observation_space = spaces.Discrete(length)
+        self.action_space = spaces.Discrete(2)
+        self._fault, self._fault_episode, self._episode = fault, episode, -2
+        self._cell = self._steps = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._episode += 1
+        self._cell = self._steps = 0
+        return 0, {"optimal_length": 4}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        if self._episode >= self._fault_episode and self._fault == "raise":
+            message = "the motor is stuck"
+            raise OSError(message)
+        self._steps += 1
+        self._cell = min(max(self._cell + (1 if action else -1), 0), 4)
+        reward = 1.0 if self._cell == 4 else -0.1
+        if self._episode >= self._fault_episode and self._fault == "nan":
+            reward = float("nan")
+        return self._cell, reward, self._cell == 4, self._steps >= 30, {}
+
+
+class Walker:
+    """Prefers one action; learns nothing."""
+
+    off_policy: ClassVar[bool] = True
+
+    def __init__(self, observation_space: Any, action_space: Any, seed: int, share: float = 0.8) -> None:
+        self.generator = np.random.default_rng(seed)
+        self.share = share
+        self.num_seen = 0
+
+    def act(self, observation: Any) -> tuple[int, Any]:
+        return int(self.generator.random() < self.share), np.array([1 - self.share, self.share])
+
+    def learn(self, transition: Transition) -> None:
+        self.num_seen += 1
+
+    def end_episode(self) -> None:
+        return
+
+    def state(self) -> dict[str, Any]:
+        return {"generator": self.generator.bit_generator.state, "num_seen": self.num_seen}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.generator.bit_generator.state = state["generator"]
+        self.num_seen = state["num_seen"]
+
+
+class OnPolicy(Walker):
+    """A learner that may not learn from others."""
+
+    off_policy: ClassVar[bool] = False
+
+
+class Forgetful(Walker):
+    """A learner whose state no checkpoint can hold."""
+
+    def state(self) -> dict[str, Any]:
+        return {"generator": object()}
+
+
+class Choosy(Walker):
+    """A learner that raises when it sees what another did in episode 20 or later."""
+
+    def __init__(self, observation_space: Any, action_space: Any, seed: int) -> None:
+        super().__init__(observation_space, action_space, seed)
+        self.num_episodes = 0
+
+    def end_episode(self) -> None:
+        self.num_episodes += 1
+        if self.num_episodes > 20:
+            message = "out of ideas"
+            raise RuntimeError(message)
+
+
+class RoundRobin:
+    """A selector in plain Python: each learner in turn."""
+
+    def parameters(self) -> Any:
+        return np.zeros(0)
+
+    def initial_state(self, num_learners: int, num_episodes: int) -> Any:
+        return np.concatenate([np.full(num_learners, 1 / num_learners), np.full(2 * num_learners, np.nan), [0.0]])
+
+    @staticmethod
+    def select(parameters: Any, num_learners: int, state: Any, stream: Any) -> int:
+        return int(state[-1]) % num_learners
+
+    @staticmethod
+    def observe(parameters: Any, num_learners: int, state: Any, selected: int, performance: float) -> None:
+        state[num_learners + selected] = performance
+        state[-1] += 1
+
+
+def shortness(trajectory: Trajectory) -> float:
+    """A user's own performance measure."""
+    return 1.0 / len(trajectory)
+
+
+def no_number(trajectory: Trajectory) -> float:
+    """A measure that fails."""
+    return float("inf")
+
+
+NOT_A_LEARNER = 3
