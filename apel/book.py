@@ -20,7 +20,7 @@ from apel.seeding import Role, make_stream
 from apel.selection import Observe, Select, Selector
 from apel.trajectory import Episodes
 
-RUNNING, FINISHED, NOT_FINITE = 0, 1, 2
+RUNNING, FINISHED, NOT_FINITE, BAD_SELECTION, FAILED = range(5)
 
 
 class Book(NamedTuple):
@@ -41,7 +41,8 @@ class Book(NamedTuple):
     learner: NDArray[np.int64]
     """``int64[R]``: who plays it."""
     status: NDArray[np.int64]
-    """``int64[R]``: RUNNING, FINISHED, or NOT_FINITE after a performance that is no number."""
+    """``int64[R]``: RUNNING; FINISHED; NOT_FINITE after a performance that is no number; BAD_SELECTION after a selector
+    named a learner that does not exist; FAILED because of anything else."""
     train_time: NDArray[np.int64]
     """``int64[R]``: episodes until the criterion held; −1 as long as it has not."""
     steps: NDArray[np.int64]
@@ -61,7 +62,16 @@ def open_book(
     *,
     stops_when_met: bool = True,
 ) -> Book:
-    """The book of runs before their first episode; the learner of that episode is already selected."""
+    """The book of runs before their first episode; the learner of that episode is already selected.
+
+    Raises
+    ------
+    ValueError
+        If there is no learner or no episode, or if the selector names a learner that does not exist.
+    """
+    if num_learners < 1 or num_episodes < 1:
+        message = f"found {num_learners} learners and {num_episodes} episodes, expected at least one of each"
+        raise ValueError(message)
     num_runs = len(run_seeds)
     window = criterion.window if criterion else 1
     state = selector.initial_state(num_learners, num_episodes)
@@ -85,13 +95,16 @@ def open_book(
         stops_when_met=stops_when_met,
     )
     for run in range(num_runs):
-        book.learner[run] = select_next(book, selector.select, run)
+        arguments = book.selector_parameters, num_learners, book.selector_state[run], book.selector_stream[run]
+        book.learner[run] = selector.select(*arguments)
+        if not 0 <= book.learner[run] < num_learners:
+            raise ValueError(bad_selection_message(book, run))
     return book
 
 
-def select_next(book: Book, select: Select, run: int) -> int:
-    """Let the selector draw who plays the coming episode of ``run``."""
-    return int(select(book.selector_parameters, book.num_learners, book.selector_state[run], book.selector_stream[run]))
+def bad_selection_message(book: Book, run: int) -> str:
+    """What is wrong with a selection."""
+    return f"the selector named learner {book.learner[run]}, expected one from 0 to {book.num_learners - 1}"
 
 
 @njit
@@ -115,7 +128,10 @@ def advance(
     if episode + 1 >= book.num_episodes or (met and book.stops_when_met):
         book.status[run] = FINISHED
         return
-    book.learner[run] = select(book.selector_parameters, book.num_learners, state, book.selector_stream[run])
+    selected = select(book.selector_parameters, book.num_learners, state, book.selector_stream[run])
+    book.learner[run] = selected
+    if not 0 <= selected < book.num_learners:
+        book.status[run] = BAD_SELECTION
 
 
 class EpisodeRows(NamedTuple):

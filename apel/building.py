@@ -81,6 +81,9 @@ def make_bank(
     """
     keys = [world.key for world in worlds]
     if is_tabular(configs, worlds):
+        if any(config.representation.bins for config in configs):
+            message = "bins: found bins for an environment that is finite already, expected none"
+            raise ValueError(message)
         return TabularBank(
             [world.model for world in worlds if world.model is not None],
             keys,

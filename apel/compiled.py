@@ -15,6 +15,7 @@ import os
 from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numba
@@ -62,7 +63,7 @@ class KernelFunction(types.WrapperAddressProtocol):  # type: ignore[misc]
         Its numba signature; the same for all functions that may stand in each other's place.
     """
 
-    def __init__(self, function: Callable[..., Any], signature: Any) -> None:
+    def __init__(self, function: FunctionType, signature: Any) -> None:
         self._function = function
         self._signature = signature
         self.__doc__ = function.__doc__
@@ -73,7 +74,12 @@ class KernelFunction(types.WrapperAddressProtocol):  # type: ignore[misc]
 
     @cached_property
     def _pointer(self) -> Any:
-        return numba.cfunc(self._signature, cache=True, error_model="numpy")(self._function)
+        # Under a name of its own: numba would otherwise find the machine code of the one form in its cache, and run
+        # it as the other.
+        function = self._function
+        twin = FunctionType(function.__code__, function.__globals__, function.__name__, None, function.__closure__)
+        twin.__module__, twin.__qualname__ = function.__module__, f"{function.__qualname__}_pointer"
+        return numba.cfunc(self._signature, cache=True, error_model="numpy")(twin)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function from Python."""

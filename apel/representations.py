@@ -8,15 +8,13 @@ from typing import Annotated, Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Bins:
-    """``count`` bins: one below ``low``, one from ``high`` on, and equal ones between; ``count`` = 1 ignores the
-    feature.
-    """
+    """``count`` equal bins between ``low`` and ``high``; values outside fall into the first or the last."""
 
     low: float
     high: float
@@ -24,8 +22,15 @@ class Bins:
 
     def index(self, value: float) -> int:
         """The bin that ``value`` falls into, 0 … ``count`` − 1."""
-        edges = np.linspace(self.low, self.high, self.count - 1) if self.count > 2 else [self.low] * (self.count - 1)
+        edges = np.linspace(self.low, self.high, self.count + 1)[1:-1]
         return int(np.searchsorted(edges, value, side="right"))
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Bins:
+        if self.low >= self.high:
+            message = f"found low {self.low} and high {self.high}, expected low below high"
+            raise ValueError(message)
+        return self
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -79,8 +84,8 @@ class View:
         self._visible = representation.visible(names)
         self._bins = representation.bins
         self._is_identity = not representation.exclude and not representation.bins
-        if self._bins and (len(self._bins) != len(names) or not isinstance(space, spaces.Box)):
-            message = f"bins: found {len(self._bins)} for {space}, expected a Box space and one entry per feature"
+        if self._bins and (len(self._bins) != len(names) or not isinstance(space, spaces.Box) or len(space.shape) != 1):
+            message = f"bins: found {len(self._bins)} for {space}, expected one per feature of a one-dimensional Box"
             raise ValueError(message)
         self.space = space if self._is_identity else self._reduced(space)
 

@@ -17,7 +17,8 @@ compiled loop every episode.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from types import FunctionType
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 from numba import float64, int64, uint64, void
@@ -71,9 +72,9 @@ def header(num_learners: int, concentration: float = np.nan) -> Row:
 
 def compiled_select(function: Select) -> KernelFunction:
     """Compile a ``select`` function."""
-    return KernelFunction(function, SELECT_SIGNATURE)
+    return KernelFunction(cast("FunctionType", function), SELECT_SIGNATURE)
 
 
 def compiled_observe(function: Observe) -> KernelFunction:
     """Compile an ``observe`` function."""
-    return KernelFunction(function, OBSERVE_SIGNATURE)
+    return KernelFunction(cast("FunctionType", function), OBSERVE_SIGNATURE)

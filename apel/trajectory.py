@@ -40,8 +40,14 @@ class Trajectory:
 
     @property
     def undiscounted_return(self) -> float:
-        """Sum of the rewards, added in order (as compiled code adds them)."""
-        return float(sum(self.reward.tolist()))
+        """Sum of the rewards, added one by one.
+
+        Compiled code adds them so; `sum` compensates rounding errors since Python 3.12, and NumPy adds in pairs.
+        """
+        total = 0.0
+        for reward in self.reward.tolist():
+            total += reward
+        return total
 
 
 class Episodes(NamedTuple):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from typing import Any
 
 import numpy as np
 
-_ARRAY = "__array__"
+# In the skeleton, which is JSON, a list is ["list", children] and an array ["array", name]; a dictionary is itself.
 
 
 class CheckpointError(Exception):
@@ -42,7 +43,7 @@ def unpack(content: bytes) -> Any:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             skeleton = json.loads(arrays["tree"].tobytes())
             return _restore(skeleton, arrays)
-    except (ValueError, KeyError, OSError, EOFError) as error:
+    except (ValueError, KeyError, OSError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         message = f"found an unreadable checkpoint ({error}), expected one written by this program"
         raise CheckpointError(message) from error
 
@@ -54,9 +55,9 @@ def _flatten(node: Any, arrays: dict[str, Any], place: str) -> Any:
         case np.generic() | np.ndarray() if node.dtype.kind in "biufcSU":
             name = f"a{len(arrays)}"
             arrays[name] = np.asarray(node)
-            return {_ARRAY: name}
+            return ["array", name]
         case list() | tuple():
-            return [_flatten(child, arrays, f"{place}[{i}]") for i, child in enumerate(node)]
+            return ["list", [_flatten(child, arrays, f"{place}[{i}]") for i, child in enumerate(node)]]
         case dict() if all(isinstance(key, str) for key in node):
             return {key: _flatten(child, arrays, f"{place}.{key}") for key, child in node.items()}
     message = (
@@ -67,10 +68,11 @@ def _flatten(node: Any, arrays: dict[str, Any], place: str) -> Any:
 
 
 def _restore(node: Any, arrays: Any) -> Any:
-    if isinstance(node, dict):
-        if _ARRAY in node:
-            return arrays[node[_ARRAY]]
-        return {key: _restore(child, arrays) for key, child in node.items()}
-    if isinstance(node, list):
-        return [_restore(child, arrays) for child in node]
+    match node:
+        case dict():
+            return {key: _restore(child, arrays) for key, child in node.items()}
+        case ["array", name]:
+            return arrays[name]
+        case ["list", children]:
+            return [_restore(child, arrays) for child in children]
     return node

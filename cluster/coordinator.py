@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.book import FINISHED, RUNNING, EpisodeRows, replay
+from apel.book import BAD_SELECTION, FAILED, FINISHED, RUNNING, EpisodeRows, bad_selection_message, replay
 from apel.building import make_selector
 from apel.environments import World
 from apel.learners.base import Failure, Played, State
@@ -25,7 +25,6 @@ from cluster.learner_host import make_run_world, open_shard_book
 from cluster.shard import Execution, Shard, recorded_episodes
 
 _MAX_ROWS_IN_MEMORY = 200_000
-_FAILED = 3
 
 
 @dataclass(frozen=True)
@@ -146,6 +145,7 @@ class Coordinator:
         failures = [_described(whole, failure, "(environment)") for failure in unbuildable]
         for failure, learner in play.progress.failures:
             failures.append(_described(shard, failure, shard.arm.learner_names[learner]))
+        failures.sort(key=lambda failure: failure.run_index)
         steps = int(play.book.steps.sum())
         yield ShardDone(tuple(failures), steps, time.monotonic() - started, play.progress.rounds)
 
@@ -210,13 +210,15 @@ class _Play:
                 self.progress.rows.append(rows)
         for host, answer in enumerate(answers):
             self.fail(answer.failures, host)
+        for run in np.flatnonzero(self.book.status == BAD_SELECTION).tolist():
+            self.fail([Failure(run, int(self.book.episode[run]), bad_selection_message(self.book, run))], 0)
 
     def fail(self, failures: Sequence[Failure], learner: int) -> None:
         """Take failed runs out of the round."""
         for failure in failures:
-            if self.book.status[failure.run] != _FAILED:
+            if self.book.status[failure.run] != FAILED:
                 self.progress.failures.append((failure, learner))
-                self.book.status[failure.run] = _FAILED
+                self.book.status[failure.run] = FAILED
 
     def fail_all(self, error: str) -> None:
         """The shard's learners could not even be built."""

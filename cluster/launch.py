@@ -10,7 +10,9 @@ last checkpoint.
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -70,40 +72,51 @@ def ray_cluster(
     ClusterError
         If there is none at that address, or if it has no CPU.
     """
+    _check_reachable(address)
     if ray.is_initialized():
         yield ClusterInfo("", _num_cpus())
         return
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Ray's coming default; the present one warns in every process.
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-    try:
-        _check_reachable(address)
-        if address is None:
-            system = {"max_direct_call_object_size": _INLINE_BYTES}
-            context = ray.init(
-                address="local", num_cpus=num_cpus, include_dashboard=dashboard, _system_config=system, **quiet
-            )
-        else:
-            context = ray.init(address=address, **quiet)
-    except (OSError, ValueError, RuntimeError) as error:
-        reach = f"reach a Ray cluster at {address!r} (if it is there, is its token the one in RAY_AUTH_TOKEN?)"
-        message = f"could not {'start Ray on this machine' if address is None else reach}: {error}"
-        raise ClusterError(message) from error
+    dashboard_url = _connect(address, num_cpus, dashboard=dashboard)
     try:
         if not _num_cpus():
             message = "found a Ray cluster without CPUs, expected at least one: start a worker node first"
             raise ClusterError(message)
-        yield ClusterInfo(context.dashboard_url or "", _num_cpus())
+        yield ClusterInfo(dashboard_url, _num_cpus())
     finally:
         ray.shutdown()
+
+
+def _connect(address: str | None, num_cpus: int | None, *, dashboard: bool) -> str:
+    """Join or start a cluster; the dashboard's address."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Ray's coming default; the present one warns in every process.
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    options: dict[str, Any] = {"address": address or "local", "log_to_driver": False, "logging_level": "ERROR"}
+    if address is None:
+        system = {"max_direct_call_object_size": _INLINE_BYTES}
+        options |= {"num_cpus": num_cpus, "include_dashboard": dashboard, "_system_config": system}
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        context = ray.init(**options)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        reach = f"reach a Ray cluster at {address!r} (if it is there, is its token the one in RAY_AUTH_TOKEN?)"
+        message = f"could not {'start Ray on this machine' if address is None else reach}: {error}"
+        raise ClusterError(message) from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)  # Ray puts its own, which ends the process at once, in its place
+    return context.dashboard_url or ""
 
 
 def _check_reachable(address: str | None) -> None:
     """Ray itself goes on trying for a quarter of an hour where nothing listens."""
     host, separator, port = (address or "").rpartition(":")
-    if separator and port.isdigit() and "://" not in host:
+    if not separator or not port.isdigit() or "://" in host:
+        return
+    try:
         socket.create_connection((host, int(port)), timeout=_REACH_SECONDS).close()
+    except OSError as error:
+        message = f"could not reach a Ray cluster at {address!r}: {error}"
+        raise ClusterError(message) from error
 
 
 def _num_cpus() -> int:

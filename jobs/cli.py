@@ -37,6 +37,10 @@ _Reference = Annotated[
 _Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override any field of the spec.")]
 
 
+class InterruptedJobError(Exception):
+    """The user has stopped a job."""
+
+
 def main() -> None:
     """Entry point."""
     # A user's own learners, environments and metrics are found where the command is run.
@@ -108,6 +112,8 @@ def run(
     observer = TerminalObserver(_out)
     try:
         outcome = run_experiment(experiment, settings, None if quiet else observer)
+    except KeyboardInterrupt:
+        raise InterruptedJobError from None  # typer would answer for it, and say nothing
     finally:
         observer.stop()
     _finish(experiment, outcome, quiet=quiet)
@@ -170,7 +176,7 @@ def _exit_codes() -> Iterator[None]:
         _fail(str(error), 2)
     except (StoreError, ClusterError) as error:
         _fail(str(error), 1 if isinstance(error, ClusterError) else 2)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, InterruptedJobError):
         _fail("interrupted; what is finished is stored, and the same command goes on from here", 130)
 
 

@@ -68,7 +68,8 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
         environment = FlattenObservation(environment)
     key = make_key(run_seed, Role.ENVIRONMENT)
     _, info = environment.reset(seed=episode_seed(np.uint64(key), 0))
-    numbers = {name: value for name, value in info.items() if isinstance(value, int | float)}
+    numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in info.items()}
+    numbers = {name: value for name, value in numbers.items() if type(value) in (int, float)}
     return World(environment, model, key, numbers, model.features if model else None)
 
 
@@ -79,8 +80,10 @@ def _make(config: EnvironmentConfig, options: dict[str, Any], factory: Any) -> g
                 config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options
             )
         environment: gymnasium.Env[Any, Any] = factory(**options)
-    except (gymnasium.error.Error, TypeError, ValueError, ImportError) as error:
-        message = f"{config.id}: {error}"
+    except Exception as error:
+        # Whatever a constructor raises, it refuses its options.
+        kind = "" if isinstance(error, gymnasium.error.Error | ValueError) else f"{type(error).__name__}: "
+        message = f"{config.id}: {kind}{error}"
         raise ValueError(message) from error
     if config.max_episode_steps is not None:
         environment = TimeLimit(environment, config.max_episode_steps)

@@ -73,7 +73,12 @@ class FiniteEnvironment(gymnasium.Env[Any, np.int64]):
         ------
         RuntimeError
             If no episode is under way.
+        ValueError
+            If there is no such action.
         """
+        if not self.action_space.contains(action):
+            message = f"found the action {action!r}, expected one of {self.action_space}"
+            raise ValueError(message)
         if self._steps is None:
             message = "step() was called without an episode under way: call reset() first"
             raise RuntimeError(message)

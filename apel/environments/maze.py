@@ -69,7 +69,7 @@ class Maze(FiniteEnvironment):
         max_draws: int = 10_000,
         render_mode: str | None = None,
     ) -> None:
-        _check(size, distractors, max_steps, max_draws)
+        _check(maze_seed, size, distractors, max_steps, max_draws)
         shortest, longest = _length_range(optimal_length, size)
         stream = stream_of_seed(maze_seed)
         passages = np.zeros((size * size, 4), dtype=np.bool_)
@@ -96,11 +96,14 @@ class Maze(FiniteEnvironment):
         return draw_maze(self.passages, self.size, self.start_cell, self.goal_cell, self._cell)
 
 
-def _check(size: int, distractors: Sequence[int], max_steps: int, max_draws: int) -> None:
+def _check(maze_seed: int, size: int, distractors: Sequence[int], max_steps: int, max_draws: int) -> None:
+    if not isinstance(maze_seed, int) or not 0 <= maze_seed < 2**64:
+        message = f"maze_seed: found {maze_seed!r}, expected a whole number from 0 to 2^64 - 1"
+        raise ValueError(message)
     if not isinstance(size, int) or not 2 <= size <= 1000:
         message = f"size: found {size!r}, expected a whole number of cells from 2 to 1000"
         raise ValueError(message)
-    if isinstance(distractors, int | str) or any(not isinstance(n, int) or n < 2 for n in distractors):
+    if not isinstance(distractors, list | tuple) or any(not isinstance(n, int) or n < 2 for n in distractors):
         message = f"distractors: found {distractors!r}, expected a list of whole numbers of values, each at least 2"
         raise ValueError(message)
     for name, value in (("max_steps", max_steps), ("max_draws", max_draws)):
@@ -114,7 +117,7 @@ def _length_range(optimal_length: int | Sequence[int] | None, size: int) -> tupl
         return 1, size * size
     if isinstance(optimal_length, int):
         return optimal_length, optimal_length
-    bounds = list(optimal_length)
+    bounds = list(optimal_length) if isinstance(optimal_length, list | tuple) else []
     if len(bounds) != 2 or not all(isinstance(bound, int) for bound in bounds) or bounds[0] > bounds[1]:
         message = f"optimal_length: found {optimal_length!r}, expected a number of moves or [shortest, longest]"
         raise ValueError(message)

@@ -26,9 +26,9 @@ class Codec:
         self._is_scalar = isinstance(space, spaces.Discrete)
 
     def encode(self, observation: Any) -> Any:
-        """The entry of a trajectory's ``observation``."""
+        """The entry of a trajectory's ``observation``: a copy, since environments may reuse their arrays."""
         if self._sizes is None:
-            return observation
+            return np.array(observation)
         return np.int64(np.ravel_multi_index(tuple(np.atleast_1d(observation)), self._sizes))
 
     def decode(self, entry: Any) -> Any:
@@ -54,6 +54,7 @@ class Member:
         while True:
             seen = self._view(observation)
             action, probability = self.learner.act(seen)
+            seen = np.array(seen) if isinstance(seen, np.ndarray) else seen
             observation, reward, terminated, truncated, _ = environment.step(action)
             self.learner.learn(
                 Transition(seen, action, float(reward), self._view(observation), terminated, truncated, probability)

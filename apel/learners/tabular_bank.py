@@ -124,7 +124,7 @@ class TabularBank:
     def _new_recording(self, steps: int, episodes: int) -> Recording:
         return Recording(
             np.empty(steps + episodes, dtype=self._observation_type),
-            np.empty(steps, dtype=np.uint8),
+            np.empty(steps, dtype=np.min_scalar_type(self._tables.value.shape[2] - 1)),
             np.empty(steps, dtype=self._world.reward_code.dtype),
             np.empty((steps if self._with_probability else 0, self._tables.value.shape[2])),
         )

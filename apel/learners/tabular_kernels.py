@@ -46,7 +46,7 @@ class Recording(NamedTuple):
     """Where trajectories are written: N steps of room."""
 
     observation: NDArray[Any]
-    action: NDArray[np.uint8]
+    action: NDArray[Any]
     reward_code: NDArray[Any]
     probability: NDArray[np.float64]
     """``float64[N, actions]``, or ``float64[0, actions]`` where nobody asked for it."""

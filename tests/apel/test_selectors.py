@@ -1,8 +1,12 @@
 from __future__ import annotations
 
 import math
+import os
 import random
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -335,7 +339,7 @@ def ssbas_oracle(history: Sequence[tuple[int, int]], num_learners: int, explorat
     return {k for k in range(num_learners) if index[k] == max(index)}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     num_learners=st.integers(1, 4),
     exploration=st.sampled_from([0.25, 1.0, 4.921, 100.0]),
@@ -449,3 +453,13 @@ def test_selectors_draw_nothing_but_their_stream() -> None:
                 clock.observe(selected, math.sin(episode))
         np.testing.assert_array_equal(one.state, two.state)
         np.testing.assert_array_equal(one.stream, two.stream)
+
+
+def test_function_compiled_for_its_address_can_still_be_called(tmp_path: Path) -> None:
+    """Whichever of the two forms of a kernel function is compiled, and cached, first: the other works."""
+    use = (
+        "import apel; s = apel.Apel(); state = s.initial_state(2, 10); s.observe.__wrapper_address__();"
+        "s.observe(s.parameters(), 2, state, 0, 1.0); assert state[2] == 1.0"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", use], env=environment, check=True)

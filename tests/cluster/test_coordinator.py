@@ -1,0 +1,213 @@
+"""A shard in local mode: what it yields, how user errors end single runs, and how it goes on from a checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from apel.book import EpisodeRows
+from apel.learners.base import Played, State
+from cluster.checkpoint import CheckpointError
+from cluster.coordinator import Coordinator, RunRows, ShardDone, ShardProgress
+from cluster.local import LocalHosts
+from cluster.shard import Execution, Shard
+from jobs.plan import plan_shards
+from jobs.spec import load_experiment
+
+
+class Memory:
+    """A sink and a checkpoint store that keep everything."""
+
+    def __init__(self) -> None:
+        self.rows: list[EpisodeRows] = []
+        self.runs: RunRows | None = None
+        self.content: bytes | None = None
+        self.num_checkpoints = 0
+
+    def spill(self, shard: Shard, part: int, rows: Sequence[EpisodeRows]) -> None:
+        self.rows += rows
+
+    def commit(self, shard: Shard, runs: RunRows, num_parts: int, rows: Sequence[EpisodeRows]) -> None:
+        self.runs = runs
+        self.rows += rows
+
+    def read(self, shard: Shard) -> bytes | None:
+        return self.content
+
+    def write(self, shard: Shard, content: bytes) -> None:
+        self.content = content
+        self.num_checkpoints += 1
+
+    def delete(self, shard: Shard) -> None:
+        self.content = None
+
+    def sorted_rows(self) -> list[tuple[Any, ...]]:
+        """All rows by run and episode."""
+        rows = [row for part in self.rows for row in zip(*(column.tolist() for column in part), strict=True)]
+        return sorted(repr(row) for row in rows)  # type: ignore[arg-type]
+
+
+def shard_of(small: Path, *overrides: str, arm: str = "APEL") -> Shard:
+    """All runs of an arm."""
+    return plan_shards(load_experiment(str(small), overrides), 100, [arm], set(), 1)[0]
+
+
+def play(
+    shard: Shard, memory: Memory, execution: Execution | None = None, hosts: LocalHosts | None = None
+) -> ShardDone:
+    """Play a shard to its end."""
+    coordinator = Coordinator(hosts or LocalHosts(), memory, memory, execution or Execution())
+    *progress, done = coordinator.run(shard)
+    assert all(isinstance(event, ShardProgress) for event in progress)
+    assert isinstance(done, ShardDone)
+    return done
+
+
+def with_user_code(fault: str, learner: str = "tests.user_code:Walker") -> tuple[str, ...]:
+    """Overrides that put a user's environment and learner in place."""
+    return (
+        f"environment={{id: 'tests.user_code:Corridor', options: {{fault: '{fault}', episode: 40}}}}",
+        f"learners={{Q: {{type: q_learning}}, W: {{type: '{learner}'}}}}",
+        "arms={APEL: {learners: [Q, W], selector: {type: apel}}}",
+        "variables={}",
+        "stop_when_met=false",
+    )
+
+
+def test_a_shard_ends_with_its_rows(small: Path) -> None:
+    """Every run has a row, and every episode played one."""
+    memory = Memory()
+    done = play(shard_of(small), memory)
+    assert memory.runs is not None
+    assert memory.runs.position.tolist() == [0, 1, 2, 3, 4, 5]
+    assert sum(len(rows.run) for rows in memory.rows) == memory.runs.episodes.sum()
+    assert done.failures == ()
+    assert done.steps == memory.runs.steps.sum()
+
+
+def test_users_code_plays(small: Path) -> None:
+    """A user's environment, learner, plain-Python selector and measure play beside ours."""
+    overrides = (
+        *with_user_code(""),
+        "arms.APEL.selector.type=tests.user_code:RoundRobin",
+        "performance=tests.user_code:shortness",
+    )
+    memory = Memory()
+    assert play(shard_of(small, *overrides), memory).failures == ()
+    selected = np.concatenate([rows.selected[rows.run == 0] for rows in memory.rows])
+    episode = np.concatenate([rows.episode[rows.run == 0] for rows in memory.rows])
+    assert selected[np.argsort(episode)].tolist() == [0, 1] * 40
+
+
+FAULTS = {
+    "an environment that raises": (with_user_code("raise"), "OSError: the motor is stuck", 40),
+    "a reward that is no number": (with_user_code("nan"), "found the performance nan, expected a finite number", 40),
+    "a measure that is no number": (
+        (*with_user_code(""), "performance=tests.user_code:no_number"),
+        "found the performance inf, expected a finite number",
+        0,
+    ),
+    "a learner that raises": (with_user_code("", "tests.user_code:Choosy"), "RuntimeError: out of ideas", 20),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_user_error_ends_its_runs(small: Path, name: str) -> None:
+    """An error of user code ends the run and names seed, learner and episode; nothing of it is stored as a result."""
+    overrides, error, episode = FAULTS[name]
+    memory = Memory()
+    # Environments count their own resets, so that the fault comes when this host has played that many episodes.
+    overrides = (*overrides, "arms.APEL.learners=[W]") if "environment" in name or "reward" in name else overrides
+    done = play(shard_of(small, *overrides), memory)
+    assert {failure.error for failure in done.failures} == {error}
+    assert sorted(failure.run_index for failure in done.failures) == [0, 1, 2, 3, 4, 5]
+    assert {failure.episode for failure in done.failures} == {episode}
+    assert done.failures[0].seed == 1892932127
+    assert memory.runs is not None
+    assert len(memory.runs.position) == 0
+
+
+def test_one_failing_run_leaves_the_others(small: Path) -> None:
+    """Runs that do not fail are finished and stored, with the rows they have without the failing one."""
+    shard = shard_of(small)
+    broken = Shard(shard.arm, tuple(run if run.index != 2 else _unbuildable(run) for run in shard.runs))
+    memory, alone = Memory(), Memory()
+    done = play(broken, memory)
+    assert [failure.run_index for failure in done.failures] == [2]
+    assert "none of 3 mazes" in done.failures[0].error
+    play(shard.without([2]), alone)
+    assert memory.sorted_rows() == alone.sorted_rows()
+
+
+def _unbuildable(run: Any) -> Any:
+    options = {**run.environment.options, "optimal_length": 1, "max_draws": 3}
+    environment = type(run.environment)(run.environment.id, options, run.environment.run_seed)
+    return type(run)(run.index, run.seed, environment, run.learners, run.variables)
+
+
+class FailingHosts(LocalHosts):
+    """Hosts that are lost after some rounds."""
+
+    def __init__(self, rounds: int) -> None:
+        super().__init__()
+        self.rounds = rounds
+
+    def play(self, orders: Sequence[Sequence[int]]) -> list[Played]:
+        self.rounds -= 1
+        if self.rounds < 0:
+            message = "the hosts are gone"
+            raise ConnectionError(message)
+        return super().play(orders)
+
+    def states(self) -> list[tuple[State, tuple[Any, ...]]]:
+        return super().states()
+
+
+@pytest.mark.parametrize("rounds", [1, 2, 7, 30])
+def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
+    """Whenever the hosts are lost, the rows are those of an undisturbed shard."""
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    undisturbed, memory = Memory(), Memory()
+    play(shard_of(small), undisturbed, execution)
+    with pytest.raises(ConnectionError):
+        play(shard_of(small), memory, execution, FailingHosts(rounds))
+    assert memory.num_checkpoints == rounds
+    memory.rows.clear()
+    done = play(shard_of(small), memory, execution)
+    assert memory.sorted_rows() == undisturbed.sorted_rows()
+    assert done.rounds > rounds
+
+
+def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:
+    """The state of a user's learner is part of the checkpoint."""
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    overrides = (*with_user_code(""), "environment.options.fault=''")
+    undisturbed, memory = Memory(), Memory()
+    play(shard_of(small, *overrides), undisturbed, execution)
+    with pytest.raises(ConnectionError):
+        play(shard_of(small, *overrides), memory, execution, FailingHosts(5))
+    memory.rows.clear()
+    play(shard_of(small, *overrides), memory, execution)
+    assert memory.sorted_rows() == undisturbed.sorted_rows()
+
+
+def test_state_that_cannot_be_stored(small: Path) -> None:
+    """A learner whose state is not plain data is named at the first checkpoint."""
+    execution = Execution(streak_episodes=1, checkpoint_seconds=0.0)
+    with pytest.raises(CheckpointError, match=r"generator: found object, expected only"):
+        play(shard_of(small, *with_user_code("", "tests.user_code:Forgetful")), Memory(), execution)
+
+
+def test_memory_is_bounded(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows beyond a number are put aside, so that memory does not grow with the number of episodes."""
+    monkeypatch.setattr("cluster.coordinator._MAX_ROWS_IN_MEMORY", 20)
+    memory, whole = Memory(), Memory()
+    play(shard_of(small), memory, Execution(streak_episodes=2))
+    monkeypatch.undo()
+    play(shard_of(small), whole)
+    assert memory.sorted_rows() == whole.sorted_rows()
+    assert len(memory.rows) > 1

@@ -1,0 +1,185 @@
+"""Running, resuming, extending and interrupting an experiment, through the command line and its functions."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import duckdb
+import pandas as pd
+import polars as pl
+import pytest
+
+from jobs.runner import Outcome, Settings, run_experiment
+from jobs.spec import load_experiment
+from jobs.store import ResultStore
+from tests.same_rows import assert_same, folder_of
+
+
+def run(small: Path, results: Path, *overrides: str, **settings: object) -> Outcome:
+    """Run in this process."""
+    experiment = load_experiment(str(small), overrides)
+    return run_experiment(experiment, Settings(results=str(results), placement="local", **settings))  # type: ignore[arg-type]
+
+
+def test_second_time_computes_nothing(small: Path, tmp_path: Path) -> None:
+    """A complete experiment is not computed again; its files stay as they are."""
+    first = run(small, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.parquet")}
+    second = run(small, tmp_path)
+    assert (first.num_computed, second.num_computed) == (18, 0)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.parquet")} == before
+
+
+def test_more_runs_compute_only_the_new(small: Path, tmp_path: Path) -> None:
+    """With more runs the old ones are kept, and the whole equals what it is in one go."""
+    run(small, tmp_path / "grown", "runs=3")
+    grown = run(small, tmp_path / "grown", "runs=6")
+    assert grown.num_computed == 9
+    assert_same(folder_of(grown), folder_of(run(small, tmp_path / "whole", "runs=6")))
+
+
+def test_arms_one_by_one(small: Path, tmp_path: Path) -> None:
+    """Arms that are computed one by one give the rows of all at once."""
+    for arm in ("SSBAS", "Q_full", "APEL"):
+        outcome = run(small, tmp_path / "single", arms=(arm,))
+    assert outcome.num_computed == 6
+    assert_same(folder_of(outcome), folder_of(run(small, tmp_path / "whole")))
+
+
+def test_fresh_starts_over(small: Path, tmp_path: Path) -> None:
+    """--fresh forgets what was computed."""
+    run(small, tmp_path)
+    assert run(small, tmp_path, fresh=True).num_computed == 18
+
+
+def test_another_spec_has_another_folder(small: Path, tmp_path: Path) -> None:
+    """Whatever changes a row changes the identity; the number of runs does not."""
+    base = load_experiment(str(small)).identity
+    assert load_experiment(str(small), ["runs=7"]).identity == base
+    assert load_experiment(str(small), ["title=other"]).identity == base
+    for override in (
+        "seed=1",
+        "episodes=81",
+        "arms.APEL.selector.decay=0.02",
+        "record=log",
+        "learners.Q_full.discount=0.9",
+    ):
+        assert load_experiment(str(small), [override]).identity != base
+
+
+def test_half_written_shard_is_not_counted(small: Path, tmp_path: Path) -> None:
+    """Episode rows of a shard that was never committed are thrown away, also when shards are cut anew."""
+    outcome = run(small, tmp_path / "torn", shard_size=3)
+    folder = folder_of(outcome)
+    (folder / "parts" / "arm=APEL" / "000000-000002.parquet").unlink()
+    assert run(small, tmp_path / "torn", shard_size=2).num_computed == 3
+    assert_same(folder, folder_of(run(small, tmp_path / "whole")))
+
+
+def test_files_open_everywhere(small: Path, tmp_path: Path) -> None:
+    """pandas, polars and DuckDB read runs and episodes as they are, and agree."""
+    folder = folder_of(run(small, tmp_path))
+    frame = pd.read_parquet(folder / "runs.parquet")
+    assert list(frame.columns[:9]) == [
+        "experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored", "episodes", "steps",
+    ]  # fmt: skip
+    assert {"optimal_length", "dropped"} <= set(frame.columns)
+    assert frame["dropped"].isin(["x", "y", "distractor"]).all()
+    expected = int(frame["episodes"].sum())
+    assert len(pd.read_parquet(folder / "episodes")) == expected
+    assert pl.read_parquet(folder / "episodes" / "**" / "*.parquet", hive_partitioning=True).height == expected
+    query = f"select arm, count(*), avg(return) from '{folder}/episodes/*/*.parquet' group by arm"
+    assert sum(row[1] for row in duckdb.sql(query).fetchall()) == expected
+    lists = pl.read_parquet(folder / "episodes" / "arm=APEL" / "*.parquet")
+    assert lists["probability"].list.sum().round(9).unique().to_list() == [1.0]
+    assert lists["concentration"].list.len().unique().to_list() == [2]
+
+
+def test_sweep_points_share_their_runs(small: Path, tmp_path: Path) -> None:
+    """Sweep points are labelled, and see the same seeds, environments and variables."""
+    folder = folder_of(run(small, tmp_path, "sweep={arms.APEL.selector.decay: [0.0, 0.1]}", arms=("APEL",)))
+    frame = pd.read_parquet(folder / "runs.parquet")
+    labels = ["arms.APEL.selector.decay=0.0", "arms.APEL.selector.decay=0.1"]
+    assert sorted(frame["sweep"].unique()) == labels
+    one, other = (frame[frame["sweep"] == label].reset_index() for label in labels)
+    assert one[["seed", "dropped", "optimal_length"]].equals(other[["seed", "dropped", "optimal_length"]])
+    assert not one["steps"].equals(other["steps"])
+
+
+def test_manifest(small: Path, tmp_path: Path) -> None:
+    """The manifest holds what the results rest on; seeds are the golden ones."""
+    folder = folder_of(run(small, tmp_path))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["run_seeds"][:3] == [1892932127, 501869158, 32175636]
+    (session,) = manifest["sessions"]
+    assert session["placement"] == "local"
+    assert set(session["arms"]) == {"Q_full", "APEL", "SSBAS"}
+    assert session["versions"]["numpy"]
+
+
+def test_spec_in_the_results_gives_the_same(small: Path, tmp_path: Path) -> None:
+    """The stored spec, overrides included, has the identity of its folder."""
+    outcome = run(small, tmp_path, "arms.APEL.selector.decay=0.5")
+    store = ResultStore.at(str(folder_of(outcome)))
+    assert store.experiment().identity == folder_of(outcome).name
+
+
+def test_failed_run_is_named(small: Path, tmp_path: Path) -> None:
+    """A failing run ends in exit code 1 and a line with its seed, learner and episode; the other arms are stored."""
+    overrides = [
+        "environment={id: 'tests.user_code:Corridor', options: {fault: raise, episode: 10}}",
+        "learners={Q: {type: q_learning}}",
+        "arms={One: {learners: [Q]}}",
+        "variables={}",
+        "criterion=null",
+    ]
+    command = [sys.executable, "-m", "jobs", "run", str(small), "--placement", "local", "--results", str(tmp_path)]
+    result = subprocess.run(
+        [*command, *(part for override in overrides for part in ("--set", override))],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 1
+    assert (
+        "6 run(s) failed: OSError: the motor is stuck at seed 1892932127 (run 0), learner Q, episode 10"
+        in result.stderr
+    )
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 130)])
+def test_interrupted(small: Path, tmp_path: Path, name: str, code: int) -> None:
+    """An interrupted job ends with 130, leaves no process, and the same command completes it."""
+    overrides = ["--set", "episodes=30000", "--set", "stop_when_met=false", "--set", "record=log"]
+    command = [
+        sys.executable,
+        "-m",
+        "jobs",
+        "run",
+        str(small),
+        "--results",
+        str(tmp_path),
+        "--cpus",
+        "2",
+        "--arms",
+        "APEL",
+    ]
+    job = subprocess.Popen([*command, *overrides], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert job.stdout is not None
+    while "dashboard" not in job.stdout.readline():
+        assert job.poll() is None
+    time.sleep(3)
+    job.send_signal(getattr(signal, name))
+    _, error = job.communicate(timeout=60)
+    assert job.returncode == code
+    assert "interrupted" in error
+    assert "Traceback" not in error
+    subprocess.run([*command, "--set", "episodes=50"], check=True, timeout=120, capture_output=True)
