@@ -67,7 +67,7 @@ def test_bins_are_equal() -> None:
 
 def test_bounds_of_bins_are_ordered() -> None:
     """Bounds the wrong way round are refused."""
-    with pytest.raises(ValueError, match="found low 1.0 and high -1.0, expected low below high"):
+    with pytest.raises(ValueError, match=r"found low 1\.0 and high -1\.0, expected low below high"):
         Bins(1.0, -1.0, 5)
 
 
