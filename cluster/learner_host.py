@@ -18,6 +18,9 @@ from apel.selection import Selector
 from apel.trajectory import Episodes, TrajectoryBatch
 from cluster.shard import Execution, RunPlan, Shard
 
+_SOLO_STREAK_SCALE = 10
+_NO_EPISODES = Episodes.empty(0)
+
 
 def make_run_world(run: RunPlan) -> World:
     """The environment of a run."""
@@ -82,8 +85,10 @@ class LearnerHost:
             with_probability=any(not is_tabular(column, worlds) for column in others),
         )
         self._index = index
-        self._limit = StreakLimit(execution.streak_episodes, execution.streak_steps)
         self._record = bool(others)
+        # A learner alone sends no trajectories, only a few numbers per episode: its messages can be rarer.
+        scale = 1 if self._record else _SOLO_STREAK_SCALE
+        self._limit = StreakLimit(scale * execution.streak_episodes, scale * execution.streak_steps)
         self._nothing = np.zeros(shard.arm.num_episodes, dtype=np.bool_)
         if state is not None:
             self._bank.restore(state["bank"])
@@ -115,6 +120,3 @@ class LearnerHost:
             failures += self._bank.learn(batch)
             replay(self._book, self._selector, batch.episodes, self._nothing)
         return tuple(failures)
-
-
-_NO_EPISODES = Episodes.empty(0)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cluster.errors import ClusterError, grouped
+from jobs.report import write_report
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment, load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
@@ -128,16 +129,16 @@ def show(results: Annotated[str, typer.Argument(help="The folder of an experimen
 
 @app.command()
 def figures(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
-    """Draw the figures, from the files alone."""
+    """Draw the figures and write the report, from the files alone."""
     store = ResultStore.at(results)
-    for path in _draw(store, store.experiment()):
+    for path in (*_draw(store, store.experiment()), write_report(store)):
         _out.print(path, highlight=False)
 
 
 def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
     store = outcome.store
-    drawn = _draw(store, experiment) if len(outcome.summary) else []
-    if not quiet and len(outcome.summary):
+    pages = [*_draw(store, experiment), write_report(store)] if len(outcome.summary) else []
+    if not quiet and pages:
         if not outcome.num_computed and not outcome.failures:
             _out.print(
                 f"complete: {experiment.name} ({experiment.identity}) has all its runs; --fresh starts over",
@@ -146,7 +147,7 @@ def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
         _out.print(summary_table(outcome.summary, store.manifest()))
         for name in ("runs.parquet", "summary.parquet", "episodes/"):
             _out.print(store.folder.location(name), highlight=False)
-        for path in drawn:
+        for path in pages:
             _out.print(path, highlight=False)
     if outcome.failures:
         for line in grouped(outcome.failures):

@@ -61,7 +61,8 @@ def _bars(plt: Any, summary: pa.Table, title: str, cap: int) -> Any:
                 fontsize=8,
             )
     axes.axhline(cap, color="#888888", linestyle=":", linewidth=1)
-    axes.annotate("cap", (len(rows) - 0.5, cap), ha="right", va="bottom", color="#666666", fontsize=8)
+    place = axes.get_yaxis_transform()
+    axes.text(0.995, cap, "cap", transform=place, ha="right", va="bottom", color="#666666", fontsize=8)
     axes.set_xticks(range(len(rows)), [_label(row) for row in rows])
     axes.set_ylim(0, None)
     axes.set_ylabel("train time (episodes)")
@@ -94,7 +95,7 @@ def _distributions(plt: Any, runs: pa.Table, title: str, cap: int) -> Any:
         )
         if len(censored):
             axes.annotate(
-                f"{len(censored)} at the cap", (0.97, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8
+                f"{len(censored)} at the cap", (0.89, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8
             )
     all_axes[-1, 0].set_xlabel("train time (episodes)")
     all_axes[0, 0].set_title(f"{title}: distribution over runs", fontsize=10)

@@ -110,12 +110,20 @@ def run_experiment(experiment: Experiment, settings: Settings, observer: Observe
     outcome = Outcome(store, pa.table({}))
     if _is_complete(experiment, settings.arms, finished):
         observer.planned([], len(finished))
-    else:
+        _summarise(experiment, store, outcome)
+        return outcome
+    try:
         _compute(experiment, settings, store, finished, observer, outcome)
+    finally:
+        # Also of a job that was interrupted or broke off: what is finished can be read like any result.
+        _summarise(experiment, store, outcome)
+    return outcome
+
+
+def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
     if store.finished():
         outcome.summary = summarise(store.consolidate(list(experiment.arms)))
         store.write_table("summary.parquet", outcome.summary)
-    return outcome
 
 
 def _is_complete(experiment: Experiment, arms: Collection[str] | None, finished: Collection[RunKey]) -> bool:

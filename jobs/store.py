@@ -10,6 +10,7 @@
     parts/           run rows per shard: what is stored here is done; runs.parquet is made from it
     checkpoints/     shards under way, with the rows that did not fit into memory in spilled/
     figures/         PNG and SVG
+    report.html      all of it on one page
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class ResultStore:
             if fresh:
                 for name in ("parts", "episodes", "checkpoints", "spilled", "figures"):
                     self.folder.delete_folder(name)
-                for name in ("runs.parquet", "summary.parquet", "manifest.json"):
+                for name in ("runs.parquet", "summary.parquet", "manifest.json", "report.html"):
                     self.folder.delete(name)
             self.folder.write("spec.yaml", experiment.to_yaml().encode())
             self._delete_orphans()
