@@ -15,6 +15,6 @@ RUN cd /tmp/apel && pip install --no-cache-dir -c constraints.txt . && rm -rf /t
 
 # Compile now, once: otherwise every process of a new container would compile the same at the same time. It is done
 # again by itself where the CPU is of another kind than the builder's.
-RUN apel run distractor-maze --runs 1 --set episodes=50 --placement local --results /tmp/warm --quiet && rm -rf /tmp/warm
+RUN python -c "from cluster.local import compile_everything; compile_everything()"
 
 WORKDIR /home/ray

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from types import FunctionType
@@ -45,8 +46,19 @@ def _cache_folder() -> Path | None:
 if not numba.config.CACHE_DIR and (_folder := _cache_folder()) is not None:
     numba.config.CACHE_DIR = str(_folder)
 
-CACHE_IS_EMPTY = not any(Path(numba.config.CACHE_DIR or _PACKAGE).rglob("*.nbc"))
-"""Whether everything has yet to be compiled, which takes a while; it is kept for the next process."""
+_ALL_COMPILED = Path(numba.config.CACHE_DIR or _PACKAGE) / "all-compiled"
+
+
+def is_all_compiled() -> bool:
+    """Whether `mark_all_compiled` was called for this very code before."""
+    return _ALL_COMPILED.exists()
+
+
+def mark_all_compiled() -> None:
+    """Remember that everything that is shipped has been compiled, and is in the cache."""
+    with suppress(OSError):
+        _ALL_COMPILED.touch()
+
 
 # error_model="numpy": a division by zero gives inf as in NumPy instead of a branch and an exception in the inner loops.
 njit: Callable[..., Any] = partial(numba.njit, cache=True, error_model="numpy")

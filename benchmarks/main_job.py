@@ -71,29 +71,32 @@ def main() -> None:
     arguments = parser.parse_args()
     runs, repeats = arguments.runs, arguments.repeats
 
-    floors = [floor.measure(runs, CORES) for _ in range(repeats)]
-    floor_seconds = statistics.median(wall for wall, _, _ in floors)
-    steps = floors[0][2]
-    per_step = {arm: statistics.median(times[arm] for _, times, _ in floors) / steps[arm] for arm in steps}
-    print(f"floor, {CORES} processes: {floor_seconds:.1f} s for {sum(steps.values()) / 1e6:.0f} M steps")
-    for arm, seconds in per_step.items():
-        print(f"  {arm:8s} {seconds * 1e9:6.1f} ns per environment step and core")
-
     plain = {arm: median(lambda arm=arm: plain_seconds_per_step(arm), repeats)[0] for arm in PLAIN_EPISODES}
     rows: dict[str, Any] = {}
     began = time.perf_counter()
     with ray_cluster(num_cpus=CORES, dashboard=False):
         ray_start = time.perf_counter() - began
         project("packed", 2, "episodes=20")
-        for placement in ("packed", "actors"):
-            rows[placement] = median(lambda placement=placement: project(placement, runs), repeats)
+        floors = []
+        values: dict[str, list[float]] = {"packed": [], "actors": []}
+        for _ in range(repeats):  # in turn, since machines have better and worse minutes
+            floors.append(floor.measure(runs, CORES))
+            for placement, seconds in values.items():
+                seconds.append(project(placement, runs))
+        rows |= {placement: (statistics.median(seconds), seconds) for placement, seconds in values.items()}
         empty = median(lambda: project("actors", 100, "episodes=1", "arms={Q_full: {learners: [Q_full]}}"), repeats)
         fan_out = {arm: median(lambda arm=arm: fan_out_seconds_per_step(arm), repeats)[0] for arm in PLAIN_EPISODES}
     rows["local (one core)"] = median(lambda: project("local", runs), 1)
 
+    floor_seconds = statistics.median(wall for wall, _, _ in floors)
+    steps = floors[0][2]
+    per_step = {arm: statistics.median(times[arm] for _, times, _ in floors) / steps[arm] for arm in steps}
+    print(f"floor, {CORES} processes: {floor_seconds:.1f} s for {sum(steps.values()) / 1e6:.0f} M steps")
+    for arm, seconds in per_step.items():
+        print(f"  {arm:8s} {seconds * 1e9:6.1f} ns per environment step and core")
     print(f"{'main job':28s} {'seconds':>8s} {'x floor':>8s}")
-    for name, (seconds, values) in {"floor": (floor_seconds, [f[0] for f in floors]), **rows}.items():
-        spread = ", ".join(f"{value:.1f}" for value in values)
+    for name, (seconds, times) in {"floor": (floor_seconds, [f[0] for f in floors]), **rows}.items():
+        spread = ", ".join(f"{value:.1f}" for value in times)
         print(f"{name:28s} {seconds:8.1f} {seconds / floor_seconds:8.2f}   ({spread})")
     packed_per_step = rows["packed"][0] / sum(steps.values())
     ratios = {}

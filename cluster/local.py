@@ -5,14 +5,16 @@ microseconds.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
+from apel.compiled import is_all_compiled, mark_all_compiled
+from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.learners.base import Failure, Played, State
+from apel.registry import SELECTORS
 from apel.trajectory import TrajectoryBatch
 from cluster.coordinator import CheckpointStore, Coordinator, ResultSink, ShardDone, ShardProgress
 from cluster.learner_host import LearnerHost
-from cluster.shard import Execution, Shard
+from cluster.shard import ArmPlan, Execution, RunPlan, Shard
 
 
 class LocalHosts:
@@ -55,13 +57,23 @@ def run_shards(
             yield shard, event
 
 
-def rehearse(shard: Shard, num_episodes: int = 50) -> None:
-    """Play the first run of a shard for a few episodes and forget it: compiles, and keeps, all that the shard needs."""
-    arm = replace(shard.arm, num_episodes=min(num_episodes, shard.arm.num_episodes))
-    hosts = LocalHosts()
-    coordinator = Coordinator(hosts, _Nowhere(), _Nowhere(), Execution(streak_episodes=5))
-    for _ in coordinator.run(Shard(arm, shard.runs[:1])):
-        pass
+def compile_everything() -> None:
+    """Play a few episodes with everything that is compiled and shipped, so that no worker has to compile it.
+
+    Compiling takes some twenty seconds, once per installation; without this, all workers would do the same at once.
+    """
+    if is_all_compiled():
+        return
+    maze = EnvironmentConfig("apel/Maze-v0", {"size": 3, "distractors": [2], "max_steps": 20})
+    for selector in SELECTORS:
+        for num_learners in (1, 2):
+            run = RunPlan(0, 0, maze, (LearnerConfig("q_learning"),) * num_learners)
+            names = tuple(f"learner {i}" for i in range(num_learners))
+            arm = ArmPlan("compile", selector, "", names, SelectorConfig(selector), "return", 5, recording="all")
+            coordinator = Coordinator(LocalHosts(), _Nowhere(), _Nowhere(), Execution(streak_episodes=2))
+            for _ in coordinator.run(Shard(arm, (run,))):
+                pass
+    mark_all_compiled()
 
 
 class _Nowhere:

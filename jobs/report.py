@@ -23,7 +23,8 @@ _PAGE = Template("""<!doctype html>
   table { border-collapse: collapse; } caption { text-align: left; color: #555; padding-bottom: .4rem; }
   th, td { padding: .3rem .8rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap; }
   th:first-child, td:first-child { text-align: left; }
-  svg { max-width: 100%; height: auto; } pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
+  svg { max-width: 100%; height: auto; }
+  pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
 </style>
 </head>
 <body>

@@ -12,10 +12,10 @@ from typing import Literal
 
 import pyarrow as pa
 
-from apel.compiled import CACHE_IS_EMPTY
+from apel.compiled import is_all_compiled
 from cluster.coordinator import ShardDone, ShardProgress
 from cluster.errors import RunFailure
-from cluster.local import rehearse, run_shards
+from cluster.local import compile_everything, run_shards
 from cluster.shard import Execution, Shard
 from jobs.manifest import add_session, new_manifest
 from jobs.plan import RunKey, all_run_keys, plan_shards
@@ -130,11 +130,6 @@ def _is_complete(experiment: Experiment, arms: Collection[str] | None, finished:
     return all(key in finished for key in all_run_keys(experiment, arms))
 
 
-def _all_but_first(experiment: Experiment, arms: Collection[str] | None) -> set[RunKey]:
-    first_sweep = next(iter(all_run_keys(experiment, arms)))[1]
-    return {key for key in all_run_keys(experiment, arms) if key[1] != first_sweep or key[2] != 0}
-
-
 def _compute(
     experiment: Experiment,
     settings: Settings,
@@ -143,11 +138,9 @@ def _compute(
     observer: Observer,
     outcome: Outcome,
 ) -> None:
-    if CACHE_IS_EMPTY:
-        # Once per installation: compiling here keeps the workers from all compiling the same at once.
+    if not is_all_compiled():
         observer.compiling()
-        for shard in plan_shards(experiment, 1, settings.arms, _all_but_first(experiment, settings.arms), 1):
-            rehearse(shard)
+        compile_everything()
     clock = _ArmClock()
     with _player(experiment, settings, store, observer) as (num_cpus, play):
         shards = plan_shards(experiment, settings.shard_size, settings.arms, finished, num_cpus)

@@ -158,28 +158,24 @@ def test_failed_run_is_named(small: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 130)])
 def test_interrupted(small: Path, tmp_path: Path, name: str, code: int) -> None:
     """An interrupted job ends with 130, leaves no process, and the same command completes it."""
-    overrides = ["--set", "episodes=30000", "--set", "stop_when_met=false", "--set", "record=log"]
-    command = [
-        sys.executable,
-        "-m",
-        "jobs",
-        "run",
-        str(small),
-        "--results",
-        str(tmp_path),
-        "--cpus",
-        "2",
-        "--arms",
-        "APEL",
-    ]
-    job = subprocess.Popen([*command, *overrides], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert job.stdout is not None
-    while "dashboard" not in job.stdout.readline():
+    command = [sys.executable, "-m", "jobs", "run", str(small), "--results", str(tmp_path), "--arms", "Q_full,APEL"]
+    command += ["--set", "episodes=3000", "--set", "stop_when_met=false", "--set", "record=log"]
+    slow = [*command, "--cpus", "2", "--runs", "2000", "--shard-size", "20"]
+    job = subprocess.Popen(slow, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 90
+    while len(list(tmp_path.rglob("parts/*/*.parquet"))) < 3:
         assert job.poll() is None
-    time.sleep(3)
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
     job.send_signal(getattr(signal, name))
     _, error = job.communicate(timeout=60)
     assert job.returncode == code
     assert "interrupted" in error
     assert "Traceback" not in error
-    subprocess.run([*command, "--set", "episodes=50"], check=True, timeout=120, capture_output=True)
+    folder = next(tmp_path.rglob("runs.parquet")).parent
+    finished = pd.read_parquet(folder / "runs.parquet")
+    assert 60 <= len(finished) < 4000
+    assert len(pd.read_parquet(folder / "summary.parquet")) >= 1
+    runs = int(finished["run_index"].max()) + 1
+    subprocess.run([*command, "--runs", str(runs), "--placement", "local", "--quiet"], check=True, timeout=120)
+    assert len(pd.read_parquet(folder / "runs.parquet")) == 2 * runs

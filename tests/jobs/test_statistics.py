@@ -60,10 +60,9 @@ def test_summary_by_hand() -> None:
 
 def test_summary_without_criterion() -> None:
     """Where nothing counts as trained there are no train times, and no error."""
-    runs = pa.table(
-        {"arm": ["A"], "sweep": [""], "train_time": pa.array([None], pa.int64()), "censored": pa.array([None], pa.bool_()),
-         "episodes": [5], "steps": [50]}
-    )  # fmt: skip
+    columns = {"arm": ["A"], "sweep": [""], "episodes": [5], "steps": [50]}
+    nothing = {"train_time": pa.array([None], pa.int64()), "censored": pa.array([None], pa.bool_())}
+    runs = pa.table(columns | nothing)
     (row,) = summarise(runs).to_pylist()
     assert (row["episodes"], row["steps"]) == (5, 50)
     assert "mean_train_time" not in row
