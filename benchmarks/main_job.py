@@ -22,7 +22,7 @@ import ray
 
 from benchmarks import floor, plain_script
 from cluster.launch import ray_cluster
-from jobs.manifest import _versions
+from jobs.manifest import versions
 from jobs.runner import Settings, run_experiment
 from jobs.spec import load_experiment
 
@@ -30,10 +30,9 @@ CORES = os.cpu_count() or 1
 PLAIN_EPISODES = {"Q_full": 60, "APEL": 60}
 
 
-def median(function: Callable[[], float], repeats: int) -> tuple[float, list[float]]:
-    """Median and all values."""
-    values = [function() for _ in range(repeats)]
-    return statistics.median(values), values
+def median(function: Callable[[], float], repeats: int) -> float:
+    """Median of several measurements."""
+    return statistics.median(function() for _ in range(repeats))
 
 
 def project(placement: str, runs: int, *overrides: str) -> float:
@@ -63,70 +62,73 @@ def fan_out_seconds_per_step(arm: str) -> float:
     return (time.perf_counter() - began) / steps
 
 
+def measure(runs: int, repeats: int) -> dict[str, Any]:
+    """Everything, as the record that is written."""
+    plain = {arm: median(lambda arm=arm: plain_seconds_per_step(arm), repeats) for arm in PLAIN_EPISODES}
+    floors = []
+    seconds: dict[str, list[float]] = {"packed": [], "actors": []}
+    began = time.perf_counter()
+    with ray_cluster(num_cpus=CORES, dashboard=False):
+        ray_start = time.perf_counter() - began
+        project("packed", 2, "episodes=20")
+        for _ in range(repeats):  # in turn, since machines have better and worse minutes
+            floors.append(floor.measure(runs, CORES))
+            for placement, values in seconds.items():
+                values.append(project(placement, runs))
+        empty = median(lambda: project("actors", 100, "episodes=1", "arms={Q_full: {learners: [Q_full]}}"), repeats)
+        fan_out = {arm: median(lambda arm=arm: fan_out_seconds_per_step(arm), repeats) for arm in PLAIN_EPISODES}
+    seconds = {"floor": [wall for wall, _, _ in floors], **seconds, "local (one core)": [project("local", runs)]}
+    floor_seconds = statistics.median(seconds["floor"])
+    steps = floors[0][2]
+    per_step = {arm: statistics.median(times[arm] for _, times, _ in floors) / steps[arm] for arm in steps}
+    slower = {
+        arm: {
+            "plain script": plain[arm] / per_step[arm] * CORES,
+            "one Ray task per run": fan_out[arm] / per_step[arm] * CORES,
+        }
+        for arm in PLAIN_EPISODES
+    }
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": {"cores": CORES, "processor": platform.processor() or platform.machine()},
+        "versions": versions(),
+        "runs": runs,
+        "repeats": repeats,
+        "steps": steps,
+        "seconds": seconds,
+        "times_floor": {name: statistics.median(values) / floor_seconds for name, values in seconds.items()},
+        "floor_nanoseconds_per_step_and_core": {arm: value * 1e9 for arm, value in per_step.items()},
+        "plain_microseconds_per_step": {arm: value * 1e6 for arm, value in plain.items()},
+        "ray_task_per_run_microseconds_per_step": {arm: value * 1e6 for arm, value in fan_out.items()},
+        "slower_than_floor_per_step": slower,
+        "nothing_milliseconds_per_run": empty / 100 * 1e3,
+        "ray_start_seconds": ray_start,
+    }
+
+
+def show(record: dict[str, Any]) -> None:
+    """Print a record."""
+    print(f"{'main job':18s} {'seconds':>8s} {'x floor':>8s}")
+    for name, values in record["seconds"].items():
+        spread = ", ".join(f"{value:.1f}" for value in values)
+        print(f"{name:18s} {statistics.median(values):8.1f} {record['times_floor'][name]:8.2f}   ({spread})")
+    for arm, nanoseconds in record["floor_nanoseconds_per_step_and_core"].items():
+        print(f"floor, {arm:8s} {nanoseconds:6.1f} ns per environment step and core")
+    for arm, ratios in record["slower_than_floor_per_step"].items():
+        for name, ratio in ratios.items():
+            print(f"{arm}: {name}: {ratio:.0f} x the floor's time per step")
+    nothing, start = record["nothing_milliseconds_per_run"], record["ray_start_seconds"]
+    print(f"nothing, 100 runs: {nothing:.1f} ms per run beyond Ray's start ({start:.1f} s)")
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
-    runs, repeats = arguments.runs, arguments.repeats
-
-    plain = {arm: median(lambda arm=arm: plain_seconds_per_step(arm), repeats)[0] for arm in PLAIN_EPISODES}
-    rows: dict[str, Any] = {}
-    began = time.perf_counter()
-    with ray_cluster(num_cpus=CORES, dashboard=False):
-        ray_start = time.perf_counter() - began
-        project("packed", 2, "episodes=20")
-        floors = []
-        values: dict[str, list[float]] = {"packed": [], "actors": []}
-        for _ in range(repeats):  # in turn, since machines have better and worse minutes
-            floors.append(floor.measure(runs, CORES))
-            for placement, seconds in values.items():
-                seconds.append(project(placement, runs))
-        rows |= {placement: (statistics.median(seconds), seconds) for placement, seconds in values.items()}
-        empty = median(lambda: project("actors", 100, "episodes=1", "arms={Q_full: {learners: [Q_full]}}"), repeats)
-        fan_out = {arm: median(lambda arm=arm: fan_out_seconds_per_step(arm), repeats)[0] for arm in PLAIN_EPISODES}
-    rows["local (one core)"] = median(lambda: project("local", runs), 1)
-
-    floor_seconds = statistics.median(wall for wall, _, _ in floors)
-    steps = floors[0][2]
-    per_step = {arm: statistics.median(times[arm] for _, times, _ in floors) / steps[arm] for arm in steps}
-    print(f"floor, {CORES} processes: {floor_seconds:.1f} s for {sum(steps.values()) / 1e6:.0f} M steps")
-    for arm, seconds in per_step.items():
-        print(f"  {arm:8s} {seconds * 1e9:6.1f} ns per environment step and core")
-    print(f"{'main job':28s} {'seconds':>8s} {'x floor':>8s}")
-    for name, (seconds, times) in {"floor": (floor_seconds, [f[0] for f in floors]), **rows}.items():
-        spread = ", ".join(f"{value:.1f}" for value in times)
-        print(f"{name:28s} {seconds:8.1f} {seconds / floor_seconds:8.2f}   ({spread})")
-    packed_per_step = rows["packed"][0] / sum(steps.values())
-    ratios = {}
-    for arm in PLAIN_EPISODES:
-        ours = per_step[arm] / CORES
-        ratios[arm] = {"plain": plain[arm] / ours, "ray task per run": fan_out[arm] / ours}
-        print(
-            f"{arm}: plain script {plain[arm] * 1e6:.2f} µs per step ({ratios[arm]['plain']:.0f} x the floor), "
-            f"one Ray task per run {fan_out[arm] * 1e6:.2f} µs ({ratios[arm]['ray task per run']:.0f} x)"
-        )
-    print(f"packed, whole job: {packed_per_step * 1e9:.1f} ns of wall time per step")
-    print(f"nothing, 100 runs: {empty[0] / 100 * 1e3:.1f} ms per run beyond Ray's start ({ray_start:.1f} s)")
-
-    record = {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": {"cores": CORES, "processor": platform.processor() or platform.machine()},
-        "versions": _versions(),
-        "runs": runs,
-        "repeats": repeats,
-        "floor_seconds": [f[0] for f in floors],
-        "floor_nanoseconds_per_step_and_core": {arm: seconds * 1e9 for arm, seconds in per_step.items()},
-        "steps": steps,
-        "seconds": {name: values for name, (_, values) in rows.items()},
-        "times_floor": {name: seconds / floor_seconds for name, (seconds, _) in rows.items()},
-        "plain_microseconds_per_step": {arm: seconds * 1e6 for arm, seconds in plain.items()},
-        "ray_task_per_run_microseconds_per_step": {arm: seconds * 1e6 for arm, seconds in fan_out.items()},
-        "slower_than_floor_per_step": ratios,
-        "nothing_milliseconds_per_run": empty[0] / 100 * 1e3,
-        "ray_start_seconds": ray_start,
-    }
+    record = measure(arguments.runs, arguments.repeats)
+    show(record)
     path = Path(__file__).parent / "results" / "main_job.json"
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(record, indent=2) + "\n")

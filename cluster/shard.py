@@ -120,6 +120,8 @@ class Execution:
         Environment steps per host and round; bounds the size of a message.
     checkpoint_seconds:
         Time between two checkpoints of a shard.
+    progress_seconds:
+        Least time between two reports of its progress.
     """
 
     streak_episodes: int = 200

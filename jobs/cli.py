@@ -145,6 +145,8 @@ def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
                 highlight=False,
             )
         _out.print(summary_table(outcome.summary, store.manifest()))
+        if outcome.num_computed:
+            _out.print(f"{outcome.num_computed} runs in {outcome.seconds:.1f} s, Ray's start apart", highlight=False)
         for name in ("runs.parquet", "summary.parquet", "episodes/"):
             _out.print(store.folder.location(name), highlight=False)
         for path in pages:

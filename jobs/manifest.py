@@ -36,7 +36,7 @@ def add_session(
         "placement": placement,
         "num_cpus": num_cpus,
         "arms": arms,
-        "versions": _versions(),
+        "versions": versions(),
         "revision": _revision(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
     }
@@ -54,7 +54,8 @@ def arm_timings(manifest: dict[str, Any]) -> dict[str, tuple[float, float]]:
     return timings
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of the packages that a result depends on."""
     found = {}
     for package in _PACKAGES:
         try:

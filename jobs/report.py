@@ -20,7 +20,7 @@ _PAGE = Template("""<!doctype html>
   body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 0 auto; padding: 1rem; }
   h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
   .wide { overflow-x: auto; }
-  table { border-collapse: collapse; } caption { text-align: left; color: #555; padding-bottom: .4rem; }
+  table { border-collapse: collapse; }
   th, td { padding: .3rem .8rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap; }
   th:first-child, td:first-child { text-align: left; }
   svg { max-width: 100%; height: auto; }
@@ -31,12 +31,12 @@ _PAGE = Template("""<!doctype html>
 <h1>$title</h1>
 <p>Experiment <code>$name</code>, identity <code>$identity</code>$figures. $runs runs per arm, seed $seed.</p>
 <h2>Results</h2>
-<div class="wide">$table</div>
+$table
 $pictures
 <h2>Experiment file</h2>
 <pre>$spec</pre>
 <h2>What it rests on</h2>
-<div class="wide">$sessions</div>
+$sessions
 </body>
 </html>
 """)
@@ -66,9 +66,11 @@ def write_report(store: ResultStore) -> str:
 def _results(store: ResultStore, experiment: Experiment, manifest: dict[str, Any]) -> str:
     timings = arm_timings(manifest)
     rows = []
-    for row in store.summary().to_pylist():
+    summary = store.summary().to_pylist()
+    has_sweep = any(row["sweep"] for row in summary)
+    for row in summary:
         seconds, steps = timings.get(row["arm"], (0.0, 0.0))
-        cells = [row["arm"], row["sweep"] or "-", f"{row['runs']}"]
+        cells = [row["arm"], *([row["sweep"]] if has_sweep else []), f"{row['runs']}"]
         if row.get("mean_train_time") is not None:
             cells += [
                 f"{row['mean_train_time']:,.0f}",
@@ -81,10 +83,13 @@ def _results(store: ResultStore, experiment: Experiment, manifest: dict[str, Any
         else:
             cells += ["-"] * 6
         rows.append([*cells, f"{seconds:,.1f} s", f"{steps / seconds / 1e6:,.1f} M" if seconds else "-"])
-    heads = ["arm", "sweep", "runs", "mean train time", "95 % interval", "standard deviation", "interquartile mean"]
-    heads += ["median", "censored", "wall time", "steps/s"]
-    caption = f"Train time in episodes; a run that met no criterion within {experiment.episodes:,} counts as that many"
-    return _table(heads, rows, caption)
+    heads = ["arm", *(["sweep"] if has_sweep else []), "runs", "mean", "95 % interval", "SD", "IQM", "median"]
+    caption = (
+        "Train time in episodes: mean with its bootstrap interval, standard deviation, interquartile mean, median. "
+        f"A run that did not meet the criterion within {experiment.episodes:,} episodes is censored, "
+        "and counts as that many."
+    )
+    return _table([*heads, "censored", "wall time", "steps/s"], rows, caption)
 
 
 def _sessions(manifest: dict[str, Any]) -> str:
@@ -100,13 +105,14 @@ def _sessions(manifest: dict[str, Any]) -> str:
         ]
         for session in manifest.get("sessions", [])
     ]
-    return _table(["began", "took", "placement", "CPUs", "machine", "versions", "revision"], rows, "Sessions of work")
+    heads = ["began", "took", "placement", "CPUs", "machine", "versions", "revision"]
+    return _table(heads, rows, "Sessions of work; Ray's start is not counted.")
 
 
 def _table(heads: list[str], rows: list[list[str]], caption: str) -> str:
     head = "".join(f"<th>{html.escape(cell)}</th>" for cell in heads)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><caption>{html.escape(caption)}</caption><tr>{head}</tr>{body}</table>"
+    return f"<p>{html.escape(caption)}</p><div class='wide'><table><tr>{head}</tr>{body}</table></div>"
 
 
 def _inline(svg: str) -> str:

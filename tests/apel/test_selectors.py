@@ -462,4 +462,4 @@ def test_function_compiled_for_its_address_can_still_be_called(tmp_path: Path) -
         "s.observe(s.parameters(), 2, state, 0, 1.0); assert state[2] == 1.0"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", use], env=environment, check=True)
+    assert subprocess.run([sys.executable, "-c", use], env=environment, check=False).returncode == 0
