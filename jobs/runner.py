@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -43,7 +42,7 @@ class Settings:
     address:
         Of a Ray cluster; None starts one on this machine.
     num_cpus:
-        Of the Ray that is started; None for all of this machine's.
+        Of the Ray that is started; None for all that Ray finds, which heeds the limits of a container.
     fresh:
         Forget earlier results.
     """
@@ -173,8 +172,7 @@ def _player(
     # Ray is imported only where it is used: a bad experiment file is refused in a fraction of its import time.
     from cluster.launch import ShardPool, ray_cluster
 
-    num_cpus = settings.num_cpus or os.cpu_count()
-    with ray_cluster(settings.address, num_cpus, dashboard=settings.dashboard) as info:
+    with ray_cluster(settings.address, settings.num_cpus, dashboard=settings.dashboard) as info:
         observer.joined(info.dashboard_url, info.num_cpus)
         pool = ShardPool(experiment.name, settings.placement, sink, checkpoints, settings.execution)
         yield info.num_cpus, pool.run
