@@ -19,12 +19,14 @@ from apel.building import make_selector
 from apel.environments import World
 from apel.learners.base import Failure, Played, State
 from apel.selection import Selector
-from cluster.checkpoint import pack, unpack
+from cluster.checkpoint import CheckpointError, pack, unpack
 from cluster.errors import RunFailure
 from cluster.learner_host import make_run_world, open_shard_book
 from cluster.shard import Execution, Shard, recorded_episodes
 
 _MAX_ROWS_IN_MEMORY = 200_000
+_CHECKPOINT_VERSION = 1
+"""To be raised whenever an older checkpoint would go on to other rows."""
 
 
 @dataclass(frozen=True)
@@ -133,13 +135,15 @@ class Coordinator:
         worlds, unbuildable = _make_worlds(shard)
         broken = [failure.run for failure in unbuildable]
         whole, shard = shard, shard.without(broken)
-        play = _Play(shard, [world for world in worlds if world is not None], self._execution)
-        if shard.runs:
+        built = [world for world in worlds if world is not None]
+        play = self._resumed(shard, built) if shard.runs else None
+        if play is None:
+            play = _Play(shard, built)
             try:
-                self._start(shard, play)
+                self._hosts.prepare(shard, self._execution, None)
             except ValueError as error:
                 play.fail_all(str(error))
-            yield from self._play_rounds(shard, play)
+        yield from self._play_rounds(shard, play)
         self._sink.commit(shard, play.run_rows(), play.progress.num_parts, play.progress.rows)
         self._checkpoints.delete(shard)
         failures = [_described(whole, failure, "(environment)") for failure in unbuildable]
@@ -149,14 +153,22 @@ class Coordinator:
         steps = int(play.book.steps.sum())
         yield ShardDone(tuple(failures), steps, time.monotonic() - started, play.progress.rounds)
 
-    def _start(self, shard: Shard, play: _Play) -> None:
+    def _resumed(self, shard: Shard, worlds: Sequence[World]) -> _Play | None:
+        """The shard as its checkpoint left it; None without one, or with one that this version cannot go on from."""
         content = self._checkpoints.read(shard)
         if content is None:
-            self._hosts.prepare(shard, self._execution, None)
-            return
-        stored = unpack(content)
-        self._hosts.prepare(shard, self._execution, stored["hosts"])
-        play.restore(stored)
+            return None
+        try:
+            stored = unpack(content)
+            if stored["version"] != _CHECKPOINT_VERSION:
+                return None
+            self._hosts.prepare(shard, self._execution, stored["hosts"])
+            play = _Play(shard, worlds)
+            play.restore(stored)
+        except (CheckpointError, ValueError, KeyError, TypeError):
+            # It is damaged, or some learner's state has another form now: playing again costs time and no result.
+            return None
+        return play
 
     def _play_rounds(self, shard: Shard, play: _Play) -> Iterator[ShardProgress]:
         last_checkpoint = last_progress = time.monotonic()
@@ -182,7 +194,7 @@ class Coordinator:
 class _Play:
     """The state of a shard under way, without any effect on the outside."""
 
-    def __init__(self, shard: Shard, worlds: Sequence[World], execution: Execution) -> None:
+    def __init__(self, shard: Shard, worlds: Sequence[World]) -> None:
         self.progress = _Progress()
         self._worlds = worlds
         self._selector: Selector = make_selector(shard.arm.selector)
@@ -190,7 +202,6 @@ class _Play:
         self._recorded = recorded_episodes(shard.arm.recording, shard.arm.num_episodes)
         self._num_hosts = len(shard.arm.learner_names)
         self._num_runs = len(shard.runs)
-        self._execution = execution
 
     def is_running(self) -> bool:
         return bool(np.any(self.book.status == RUNNING))
@@ -248,6 +259,7 @@ class _Play:
     def checkpoint(self, states: Sequence[State]) -> dict[str, Any]:
         """Everything, as a state tree."""
         return {
+            "version": _CHECKPOINT_VERSION,
             "hosts": list(states),
             "book": [np.array(column) for column in self.book],
             "rows": [list(rows) for rows in self.progress.rows],

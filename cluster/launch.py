@@ -124,6 +124,15 @@ def _num_cpus() -> int:
     return int(resources.get("CPU", 0))
 
 
+def _get(references: list[ObjectRef]) -> list[Any]:
+    """The values; an error of an actor's own code is raised as it was there, without Ray's account of where."""
+    try:
+        values: list[Any] = ray.get(references)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from error
+    return values
+
+
 class RemoteHosts:
     """Learner hosts that are actors. Trajectories go from host to host; the coordinator only passes references on."""
 
@@ -138,7 +147,7 @@ class RemoteHosts:
         self._actors = self._all[: len(shard.arm.learner_names)]
         self._plays = [actor.play.options(num_returns=2) for actor in self._actors]
         self._last = [None] * len(self._actors)
-        ray.get(
+        _get(
             [
                 actor.prepare.remote(shard, index, execution, states[index] if states is not None else None)
                 for index, actor in enumerate(self._actors)
@@ -154,7 +163,7 @@ class RemoteHosts:
             others = self._others(index)
             if orders[index] or others:
                 calls[index], batches[index] = play.remote(orders[index], *others)
-        for index, played in zip(calls, ray.get(list(calls.values())), strict=True):
+        for index, played in zip(calls, _get(list(calls.values())), strict=True):
             answers[index] = played
         self._last = [
             batch if len(played.episodes.run) else None for batch, played in zip(batches, answers, strict=True)
@@ -165,7 +174,7 @@ class RemoteHosts:
         """See `cluster.coordinator.Hosts`."""
         calls = [actor.state.remote(*self._others(index)) for index, actor in enumerate(self._actors)]
         self._last = [None] * len(self._actors)
-        states: list[tuple[State, tuple[Failure, ...]]] = ray.get(calls)
+        states: list[tuple[State, tuple[Failure, ...]]] = _get(calls)
         return states
 
     def _others(self, index: int) -> list[ObjectRef]:

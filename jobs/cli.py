@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
 from jobs.report import write_report
 from jobs.runner import Outcome, Placement, Settings, run_experiment
@@ -177,8 +178,10 @@ def _exit_codes() -> Iterator[None]:
         yield
     except SpecError as error:
         _fail(str(error), 2)
-    except (StoreError, ClusterError) as error:
-        _fail(str(error), 1 if isinstance(error, ClusterError) else 2)
+    except StoreError as error:
+        _fail(str(error), 2)
+    except (ClusterError, CheckpointError, OSError) as error:
+        _fail(str(error), 1)
     except (KeyboardInterrupt, InterruptedJobError):
         _fail("interrupted; what is finished is stored, and the same command goes on from here", 130)
 

@@ -78,6 +78,16 @@ class Forgetful(Walker):
         return {"generator": object()}
 
 
+class Superstitious(Walker):
+    """A learner that refuses one seed."""
+
+    def __init__(self, observation_space: Any, action_space: Any, seed: int, unlucky: int = -1) -> None:
+        super().__init__(observation_space, action_space, seed)
+        if seed == unlucky:
+            message = "this seed brings no luck"
+            raise ValueError(message)
+
+
 class Choosy(Walker):
     """A learner that raises when it sees what another did in episode 20 or later."""
 

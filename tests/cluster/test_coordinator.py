@@ -11,7 +11,7 @@ import pytest
 
 from apel.book import EpisodeRows
 from apel.learners.base import Played, State
-from cluster.checkpoint import CheckpointError
+from cluster.checkpoint import CheckpointError, pack, unpack
 from cluster.coordinator import Coordinator, RunRows, ShardDone, ShardProgress
 from cluster.local import LocalHosts
 from cluster.shard import Execution, Shard
@@ -180,6 +180,25 @@ def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
     done = play(shard_of(small), memory, execution)
     assert memory.sorted_rows() == undisturbed.sorted_rows()
     assert done.rounds > rounds
+
+
+@pytest.mark.parametrize("damage", ["cut off", "another version", "another shape"])
+def test_unusable_checkpoint_costs_no_result(small: Path, damage: str) -> None:
+    """A checkpoint that cannot be gone on from is as good as none: the shard is played again."""
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    undisturbed, memory = Memory(), Memory()
+    play(shard_of(small), undisturbed, execution)
+    with pytest.raises(ConnectionError):
+        play(shard_of(small), memory, execution, FailingHosts(7))
+    assert memory.content is not None
+    tree = unpack(memory.content)
+    if damage == "another version":
+        tree["version"] = 0
+    tree["book"] = tree["book"][:-1] if damage == "another shape" else tree["book"]
+    memory.content = memory.content[:-50] if damage == "cut off" else pack(tree)
+    memory.rows.clear()
+    play(shard_of(small), memory, Execution(streak_episodes=2))
+    assert memory.sorted_rows() == undisturbed.sorted_rows()
 
 
 def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from apel.seeding import Role, make_key, run_seeds
+from cluster.checkpoint import CheckpointError
+from cluster.coordinator import ShardDone
 from cluster.errors import ClusterError, ShardLostError
 from cluster.retry import RetryPolicy
 from cluster.shard import Execution
 from jobs.plan import plan_shards
 from jobs.spec import load_experiment
-from tests.cluster.test_coordinator import Memory
+from tests.cluster.test_coordinator import Memory, with_user_code
 
 
 def test_unreachable_address() -> None:
@@ -68,3 +71,30 @@ def test_speaking_names(ray_session: None, small: Path) -> None:
     while ray.util.list_named_actors(all_namespaces=True) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert ray.util.list_named_actors(all_namespaces=True) == []
+
+
+@pytest.mark.ray
+def test_errors_of_actors_come_as_they_were(ray_session: None, small: Path) -> None:
+    """What a learner raises in its actor is told in one line, as in this process."""
+    from cluster.launch import ShardPool
+
+    unlucky = make_key(run_seeds(1234, 2)[1], Role.LEARNER, 1)
+    overrides = (*with_user_code("", "tests.user_code:Superstitious"), f"learners.W.unlucky={unlucky}")
+    shards = plan_shards(load_experiment(str(small), overrides), 100, ["APEL"], set(), 1)
+    memory = Memory()
+    *_, (_, done) = ShardPool("errors", "actors", memory, memory, Execution()).run(shards)
+    assert isinstance(done, ShardDone)
+    assert {failure.error for failure in done.failures} == {"tests.user_code:Superstitious: this seed brings no luck"}
+
+
+@pytest.mark.ray
+def test_state_that_cannot_be_stored(ray_session: None, small: Path) -> None:
+    """A learner whose state no checkpoint can hold ends the job with the place, not with a retry."""
+    from cluster.launch import ShardPool
+
+    overrides = with_user_code("", "tests.user_code:Forgetful")
+    shards = plan_shards(load_experiment(str(small), overrides), 100, ["APEL"], set(), 1)
+    pool = ShardPool("forgetful", "actors", Memory(), Memory(), Execution(streak_episodes=1, checkpoint_seconds=0.0))
+    with pytest.raises(CheckpointError, match=r"generator: found object"):
+        list(pool.run(shards))
+    assert pool.num_restarts == 0
