@@ -136,13 +136,7 @@ class Coordinator:
         broken = [failure.run for failure in unbuildable]
         whole, shard = shard, shard.without(broken)
         built = [world for world in worlds if world is not None]
-        play = self._resumed(shard, built) if shard.runs else None
-        if play is None:
-            play = _Play(shard, built)
-            try:
-                self._hosts.prepare(shard, self._execution, None)
-            except ValueError as error:
-                play.fail_all(str(error))
+        play = self._begun(shard, built) if shard.runs else _Play(shard, built)
         yield from self._play_rounds(shard, play)
         self._sink.commit(shard, play.run_rows(), play.progress.num_parts, play.progress.rows)
         self._checkpoints.delete(shard)
@@ -152,6 +146,18 @@ class Coordinator:
         failures.sort(key=lambda failure: failure.run_index)
         steps = int(play.book.steps.sum())
         yield ShardDone(tuple(failures), steps, time.monotonic() - started, play.progress.rounds)
+
+    def _begun(self, shard: Shard, worlds: Sequence[World]) -> _Play:
+        """The shard with its hosts ready, from its checkpoint if there is one."""
+        resumed = self._resumed(shard, worlds)
+        if resumed is not None:
+            return resumed
+        play = _Play(shard, worlds)
+        try:
+            self._hosts.prepare(shard, self._execution, None)
+        except ValueError as error:
+            play.fail_all(str(error))
+        return play
 
     def _resumed(self, shard: Shard, worlds: Sequence[World]) -> _Play | None:
         """The shard as its checkpoint left it; None without one, or with one that this version cannot go on from."""

@@ -176,9 +176,7 @@ def _exit_codes() -> Iterator[None]:
     """Expected errors become one message and an exit code; anything else is a bug and keeps its traceback."""
     try:
         yield
-    except SpecError as error:
-        _fail(str(error), 2)
-    except StoreError as error:
+    except (SpecError, StoreError) as error:
         _fail(str(error), 2)
     except (ClusterError, CheckpointError, OSError) as error:
         _fail(str(error), 1)

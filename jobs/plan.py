@@ -51,6 +51,16 @@ def sweep_points(experiment: Experiment) -> list[SweepPoint]:
     return points
 
 
+def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tuple[SweepPoint, str]]:
+    """Every arm (of ``arms``; None: of all) at every sweep point, in the order of the file."""
+    return [
+        (point, arm)
+        for point in sweep_points(experiment)
+        for arm in point.experiment.arms
+        if arms is None or arm in arms
+    ]
+
+
 def plan_shards(
     experiment: Experiment,
     shard_size: int | None,
@@ -65,12 +75,7 @@ def plan_shards(
     """
     shards = []
     seeds = run_seeds(experiment.seed, experiment.runs)
-    points = [
-        (point, arm)
-        for point in sweep_points(experiment)
-        for arm in point.experiment.arms
-        if arms is None or arm in arms
-    ]
+    points = arm_points(experiment, arms)
     num_ensembles = sum(len(point.experiment.arms[arm].learners) > 1 for point, arm in points)
     for point, arm in points:
         num_learners = len(point.experiment.arms[arm].learners)
@@ -172,8 +177,6 @@ def _fill(node: Any, variables: Mapping[str, Any]) -> Any:
 
 def all_run_keys(experiment: Experiment, arms: Collection[str] | None) -> Iterator[RunKey]:
     """Every run of the experiment."""
-    for point in sweep_points(experiment):
-        for arm in point.experiment.arms:
-            if arms is None or arm in arms:
-                for index in range(experiment.runs):
-                    yield arm, point.label, index
+    for point, arm in arm_points(experiment, arms):
+        for index in range(experiment.runs):
+            yield arm, point.label, index

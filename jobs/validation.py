@@ -10,7 +10,7 @@ from apel.environments import World
 from apel.seeding import run_seeds
 from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
-from jobs.plan import SweepPoint, arm_plan, draw_variables, run_plan, sweep_points
+from jobs.plan import SweepPoint, arm_plan, arm_points, draw_variables, run_plan
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 
@@ -31,11 +31,9 @@ def check(experiment: Experiment, arms: Collection[str] | None = None) -> None:
         if name not in experiment.arms:
             message = f"--arms: found {name!r}, expected some of {', '.join(experiment.arms)}"
             raise SpecError(message)
-    for point in sweep_points(experiment):
-        for arm in point.experiment.arms:
-            if arms is None or arm in arms:
-                for index, seed in _distinct_runs(point.experiment):
-                    _check_run(point, arm, index, seed)
+    for point, arm in arm_points(experiment, arms):
+        for index, seed in _distinct_runs(point.experiment):
+            _check_run(point, arm, index, seed)
 
 
 def _distinct_runs(experiment: Experiment) -> list[tuple[int, int]]:

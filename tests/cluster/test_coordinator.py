@@ -143,6 +143,17 @@ def test_one_failing_run_leaves_the_others(small: Path) -> None:
     assert memory.sorted_rows() == alone.sorted_rows()
 
 
+def test_shard_without_a_buildable_run(small: Path) -> None:
+    """Where no environment of a shard can be made, every run is told of, and nothing is played or stored."""
+    shard = shard_of(small)
+    memory = Memory()
+    done = play(Shard(shard.arm, tuple(_unbuildable(run) for run in shard.runs)), memory)
+    assert [failure.run_index for failure in done.failures] == [0, 1, 2, 3, 4, 5]
+    assert {failure.learner for failure in done.failures} == {"(environment)"}
+    assert memory.runs is not None
+    assert len(memory.runs.position) == 0
+
+
 def _unbuildable(run: Any) -> Any:
     options = {**run.environment.options, "optimal_length": 1, "max_draws": 3}
     environment = type(run.environment)(run.environment.id, options, run.environment.run_seed)
