@@ -64,6 +64,11 @@ def mark_all_compiled() -> None:
 njit: Callable[..., Any] = partial(numba.njit, cache=True, error_model="numpy")
 
 
+@njit
+def _call(function: Any, *arguments: Any) -> Any:
+    return function(*arguments)
+
+
 class KernelFunction(types.WrapperAddressProtocol):  # type: ignore[misc]
     """A compiled function that is passed by address, and is still callable from Python.
 
@@ -81,21 +86,13 @@ class KernelFunction(types.WrapperAddressProtocol):  # type: ignore[misc]
         self.__doc__ = function.__doc__
 
     @cached_property
-    def _call(self) -> Callable[..., Any]:
-        return njit(self._signature)(self._function)
-
-    @cached_property
     def _pointer(self) -> Any:
-        # Under a name of its own: numba would otherwise find the machine code of the one form in its cache, and run
-        # it as the other.
-        function = self._function
-        twin = FunctionType(function.__code__, function.__globals__, function.__name__, None, function.__closure__)
-        twin.__module__, twin.__qualname__ = function.__module__, f"{function.__qualname__}_pointer"
-        return numba.cfunc(self._signature, cache=True, error_model="numpy")(twin)
+        return numba.cfunc(self._signature, cache=True, error_model="numpy")(self._function)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function from Python."""
-        return self._call(*arguments)
+        # Through its address, like everybody else: a second compilation for Python alone would cost as much again.
+        return _call(self, *arguments)
 
     def __wrapper_address__(self) -> int:
         """Address for numba."""

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
-from jobs.report import write_report
+from jobs.analysis.report import write_report
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment, load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
@@ -159,7 +159,7 @@ def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
 
 
 def _draw(store: ResultStore, experiment: Experiment) -> list[str]:
-    from jobs.figures import draw_figures
+    from jobs.analysis.figures import draw_figures
 
     return draw_figures(store, experiment.title or experiment.name, experiment.episodes)
 

@@ -16,10 +16,10 @@ from cluster.coordinator import ShardDone, ShardProgress
 from cluster.errors import RunFailure
 from cluster.local import compile_everything, run_shards
 from cluster.shard import Execution, Shard
+from jobs.analysis.statistics import summarise
 from jobs.manifest import add_session, new_manifest
 from jobs.plan import RunKey, all_run_keys, plan_shards
 from jobs.spec import Experiment
-from jobs.statistics import summarise
 from jobs.store import CheckpointFiles, ParquetSink, ResultStore
 from jobs.validation import check
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jobs.statistics import bootstrap_interval, interquartile_mean, summarise
+from jobs.analysis.statistics import bootstrap_interval, interquartile_mean, summarise
 
 
 def test_interquartile_mean_by_hand() -> None:

@@ -1,0 +1,1 @@
+"""What results say: statistics, claims, figures and pages, from the stored files alone."""
