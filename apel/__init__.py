@@ -12,7 +12,7 @@
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.ensemble import Ensemble, EpisodeRecord
 from apel.environments import World, make_world
-from apel.learners import Decay, Learner, QLearning, Switch, Transition
+from apel.learners import Decay, DynaQ, Learner, QLearning, Switch, Transition, Voting
 from apel.metrics import Criterion, Threshold
 from apel.representations import Bins, Representation
 from apel.seeding import run_seeds
@@ -25,6 +25,7 @@ __all__ = [
     "Bins",
     "Criterion",
     "Decay",
+    "DynaQ",
     "Ensemble",
     "EnvironmentConfig",
     "EpisodeRecord",
@@ -42,6 +43,7 @@ __all__ = [
     "TrajectoryBatch",
     "Transition",
     "Uniform",
+    "Voting",
     "World",
     "make_world",
     "run_seeds",

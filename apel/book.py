@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from apel.compiled import KernelFunction, njit
-from apel.metrics import Criterion, criterion_met
+from apel.metrics import NO_CRITERION, Criterion, criterion_met
 from apel.seeding import Role, make_stream
 from apel.selection import Observe, Select, Selector
 from apel.trajectory import Episodes
@@ -46,9 +46,12 @@ class Book(NamedTuple):
     train_time: NDArray[np.int64]
     """``int64[R]``: episodes until the criterion held; −1 as long as it has not."""
     steps: NDArray[np.int64]
-    """``int64[R]``: environment steps so far."""
+    """``int64[R]``: environment steps so far, greedy evaluations not counted."""
+    late_return: NDArray[np.float64]
+    """``float64[R]``: sum of the returns from episode ``late_from`` on."""
     num_learners: int
     num_episodes: int
+    late_from: int
     stops_when_met: bool
 
 
@@ -61,22 +64,31 @@ def open_book(
     run_infos: Sequence[dict[str, float]],
     *,
     stops_when_met: bool = True,
+    steady_state_episodes: int = 0,
 ) -> Book:
     """The book of runs before their first episode; the learner of that episode is already selected.
+
+    ``steady_state_episodes`` is over how many episodes before the cap the steady state is measured.
 
     Raises
     ------
     ValueError
-        If there is no learner or no episode, or if the selector names a learner that does not exist.
+        If there is no learner or no episode, if the selector names a learner that does not exist, or if the criterion
+        counts too few episodes to be met.
     """
     if num_learners < 1 or num_episodes < 1:
         message = f"found {num_learners} learners and {num_episodes} episodes, expected at least one of each"
         raise ValueError(message)
+    if criterion and criterion.after and criterion.after + criterion.window > num_episodes:
+        message = (
+            f"found {num_episodes} episodes, expected at least {criterion.after + criterion.window}: a window of "
+            f"{criterion.window} after episode {criterion.after}"
+        )
+        raise ValueError(message)
     num_runs = len(run_seeds)
     window = criterion.window if criterion else 1
     state = selector.initial_state(num_learners, num_episodes)
-    # Without a criterion nothing is below minus infinity.
-    parameters = criterion.parameters() if criterion else np.array([0, 0, 1], dtype=np.int64)
+    parameters = criterion.parameters() if criterion else NO_CRITERION
     thresholds = [criterion.threshold(info) if criterion else -np.inf for info in run_infos]
     book = Book(
         selector_parameters=selector.parameters(),
@@ -90,8 +102,10 @@ def open_book(
         status=np.full(num_runs, RUNNING, dtype=np.int64),
         train_time=np.full(num_runs, -1, dtype=np.int64),
         steps=np.zeros(num_runs, dtype=np.int64),
+        late_return=np.zeros(num_runs),
         num_learners=num_learners,
         num_episodes=num_episodes,
+        late_from=num_episodes - steady_state_episodes,
         stops_when_met=stops_when_met,
     )
     for run in range(num_runs):
@@ -109,7 +123,14 @@ def bad_selection_message(book: Book, run: int) -> str:
 
 @njit
 def advance(
-    book: Book, select: Select, observe: Observe, run: int, length: int, episode_return: float, performance: float
+    book: Book,
+    select: Select,
+    observe: Observe,
+    run: int,
+    length: int,
+    episode_return: float,
+    performance: float,
+    measure: float,
 ) -> None:
     """Take in the finished episode of ``run``; select for the next unless the run is over."""
     if not np.isfinite(performance):
@@ -118,13 +139,13 @@ def advance(
     state = book.selector_state[run]
     observe(book.selector_parameters, book.num_learners, state, book.learner[run], performance)
     episode = book.episode[run]
-    met = criterion_met(
-        book.criterion_parameters, book.threshold[run], book.recent[run], episode, length, episode_return
-    )
+    met = criterion_met(book.criterion_parameters, book.threshold[run], book.recent[run], episode, measure)
     if met and book.train_time[run] < 0:
         book.train_time[run] = episode + 1
     book.episode[run] = episode + 1
     book.steps[run] += length
+    if episode >= book.late_from:
+        book.late_return[run] += episode_return
     if episode + 1 >= book.num_episodes or (met and book.stops_when_met):
         book.status[run] = FINISHED
         return
@@ -175,8 +196,8 @@ def _replay(
         if recorded[episodes.episode[e]]:
             _record(book, episodes, e, rows, count)
             count += 1
-        run, performance = episodes.run[e], episodes.performance[e]
-        advance(book, select, observe, run, episodes.length[e], episodes.episode_return[e], performance)
+        run, length, episode_return = episodes.run[e], episodes.length[e], episodes.episode_return[e]
+        advance(book, select, observe, run, length, episode_return, episodes.performance[e], episodes.measure[e])
     return count
 
 
@@ -186,13 +207,13 @@ def _replay_plain(
     """`_replay` for selectors that are not compiled."""
     count = 0
     columns = zip(*(column.tolist() for column in episodes), strict=True)
-    for e, (run, episode, length, episode_return, performance, _) in enumerate(columns):
+    for e, (run, episode, length, episode_return, performance, measure, _) in enumerate(columns):
         if book.episode[run] != episode:
             return -1
         if recorded[episode]:
             _record(book, episodes, e, rows, count)
             count += 1
-        advance_run(book, selector, run, length, episode_return, performance)
+        advance_run(book, selector, run, length, episode_return, performance, measure)
     return count
 
 
@@ -222,8 +243,8 @@ def is_compiled(selector: Selector) -> bool:
 
 
 def advance_run(
-    book: Book, selector: Selector, run: int, length: int, episode_return: float, performance: float
+    book: Book, selector: Selector, run: int, length: int, episode_return: float, performance: float, measure: float
 ) -> None:
     """`advance` for any selector: compiled where the selector is, else the same lines as plain Python."""
     function = advance if is_compiled(selector) else advance.py_func
-    function(book, selector.select, selector.observe, run, length, episode_return, performance)
+    function(book, selector.select, selector.observe, run, length, episode_return, performance, measure)

@@ -9,13 +9,29 @@ from pydantic import ValidationError
 
 from apel.configs import LearnerConfig, SelectorConfig
 from apel.environments import World
-from apel.learners import GenericBank, LearnerBank, QLearning, QLearningOptions, TabularBank
-from apel.learners.base import Learner, Performance
+from apel.learners import (
+    DynaQ,
+    DynaQOptions,
+    GenericBank,
+    LearnerBank,
+    QLearning,
+    QLearningOptions,
+    TabularBank,
+    TabularLearner,
+    TabularMember,
+    Voting,
+    VotingOptions,
+)
+from apel.learners.base import Freezable, HasActionValues, Learner, Performance
 from apel.learners.member import Codec, Member
+from apel.learners.voting import Voter
 from apel.registry import LEARNERS, METRICS, SELECTORS, resolve
-from apel.representations import View
+from apel.representations import Representation, View
 from apel.seeding import Role, make_key
 from apel.selection import Selector
+
+_TABLE_OPTIONS: Mapping[Any, type[QLearningOptions]] = {QLearning: QLearningOptions, DynaQ: DynaQOptions}
+"""The learners that have a compiled form, with their options."""
 
 
 def make_selector(config: SelectorConfig) -> Selector:
@@ -42,28 +58,60 @@ def make_performance(name: str) -> Performance:
     return measure
 
 
-def make_member(config: LearnerConfig, world: World, run_seed: int, index: int) -> Member:
+def make_member(
+    config: LearnerConfig, world: World, run_seed: int, index: int, *, freezes: bool = False, evaluates: bool = False
+) -> Member:
     """Make learner ``index`` of the run with seed ``run_seed``.
+
+    ``freezes``: its policy will be frozen within epochs; ``evaluates``: it will be evaluated without exploring.
 
     Raises
     ------
     ValueError
-        If it is unknown, refuses its options or the environment, or is not off-policy.
+        If it is unknown, refuses its options or the environment, is not off-policy, or cannot do what it will have to.
     """
-    space = world.environment.observation_space
-    view = View(config.representation, space, world.features)
-    seed = make_key(run_seed, Role.LEARNER, index)
-    constructor = resolve(config.type, LEARNERS, "learner")
-    learner = _construct(
-        constructor, config.type, dict(config.options), view.space, world.environment.action_space, seed
-    )
-    if not isinstance(learner, Learner):
-        message = f"{config.type}: found {type(learner).__name__}, expected a learner (see apel.Learner)"
-        raise ValueError(message)
+    space, actions = world.environment.observation_space, world.environment.action_space
+    learner, view = _make_learner(config, world, run_seed, index)
     if not learner.off_policy:
         message = f"{config.type} is not off-policy: it cannot learn from the trajectories of other learners"
         raise ValueError(message)
-    return Member(learner, view, Codec(world.model, space))
+    if evaluates and not isinstance(learner, HasActionValues):
+        message = f"{config.type} has no action_values: it cannot be evaluated without exploring"
+        raise ValueError(message)
+    if freezes:
+        _try_to_freeze(learner, config.type)
+    return Member(learner, view, Codec(world.model, space), actions, freezes=freezes)
+
+
+def _make_learner(config: LearnerConfig, world: World, run_seed: int, *place: int) -> Voter:
+    """A learner and its view; ``place`` is its index, and its index among the members of the one that holds it."""
+    environment = world.environment
+    view = View(config.representation, environment.observation_space, world.features)
+    options = dict(config.options)
+    if config.members:
+        if config.representation != Representation():
+            message = f"{config.type}: found a representation of a learner that has members, expected it on the members"
+            raise ValueError(message)
+        members = enumerate(config.members)
+        options["members"] = [_make_learner(member, world, run_seed, *place, i) for i, member in members]
+    seed = make_key(run_seed, Role.LEARNER, *place)
+    constructor = resolve(config.type, LEARNERS, "learner")
+    learner = _construct(constructor, config.type, options, view.space, environment.action_space, seed)
+    if not isinstance(learner, Learner):
+        message = f"{config.type}: found {type(learner).__name__}, expected a learner (see apel.Learner)"
+        raise ValueError(message)
+    return Voter(learner, view)
+
+
+def _try_to_freeze(learner: Learner, name: str) -> None:
+    if not isinstance(learner, Freezable):
+        message = f"{name} has no freeze: its policy cannot be kept for an epoch, as its selector wants"
+        raise ValueError(message)
+    try:
+        learner.freeze()
+    except TypeError as error:
+        message = f"{name}: {error}"
+        raise ValueError(message) from error
 
 
 def make_bank(
@@ -74,33 +122,56 @@ def make_bank(
     performance: Performance,
     *,
     with_probability: bool,
+    freezes: bool = False,
+    evaluates: bool = False,
 ) -> LearnerBank:
     """Make learner ``index`` for every run of a shard: compiled where that is possible.
 
-    ``with_probability`` asks compiled banks to record μ(·|s) for the other learners.
+    ``with_probability`` asks compiled banks to record μ(·|s) for the other learners; for the others see `make_member`.
     """
     keys = [world.key for world in worlds]
     if is_tabular(configs, worlds):
-        if any(config.representation.bins for config in configs):
-            message = "bins: found bins for an environment that is finite already, expected none"
-            raise ValueError(message)
-        return TabularBank(
-            [world.model for world in worlds if world.model is not None],
-            keys,
-            [_construct(QLearningOptions, config.type, dict(config.options)) for config in configs],
-            [config.representation for config in configs],
-            [make_key(seed, Role.LEARNER, index) for seed in run_seeds],
-            performance,
-            with_probability=with_probability,
-        )
+        models = [world.model for world in worlds if world.model is not None]
+        learners = [_tabular_learner(config, seed, index) for config, seed in zip(configs, run_seeds, strict=True)]
+        return TabularBank(models, keys, learners, performance, with_probability=with_probability, freezes=freezes)
     rows = zip(configs, worlds, run_seeds, strict=True)
-    members = [make_member(config, world, seed, index) for config, world, seed in rows]
+    members = [
+        make_member(config, world, seed, index, freezes=freezes, evaluates=evaluates) for config, world, seed in rows
+    ]
     return GenericBank(members, [world.environment for world in worlds], keys, performance)
 
 
 def is_tabular(configs: Sequence[LearnerConfig], worlds: Sequence[World]) -> bool:
     """Whether a learner's runs can be played by the compiled bank."""
-    return all(LEARNERS.get(config.type) is QLearning for config in configs) and all(world.model for world in worlds)
+    return all(_has_tables(config) for config in configs) and all(world.model for world in worlds)
+
+
+def _has_tables(config: LearnerConfig) -> bool:
+    learner = LEARNERS.get(config.type)
+    if learner is Voting:
+        return all(LEARNERS.get(member.type) in _TABLE_OPTIONS and not member.members for member in config.members)
+    return learner in _TABLE_OPTIONS and not config.members
+
+
+def _tabular_learner(config: LearnerConfig, run_seed: int, index: int) -> TabularLearner:
+    if LEARNERS[config.type] is not Voting:
+        return TabularLearner((_tabular_member(config, run_seed, index),))
+    if not config.members or config.representation != Representation():
+        message = f"{config.type}: expected members, each with a representation of its own"
+        raise ValueError(message)
+    return TabularLearner(
+        tuple(_tabular_member(member, run_seed, index, i) for i, member in enumerate(config.members)),
+        _construct(VotingOptions, config.type, config.options),
+        make_key(run_seed, Role.LEARNER, index),
+    )
+
+
+def _tabular_member(config: LearnerConfig, run_seed: int, *place: int) -> TabularMember:
+    if config.representation.bins:
+        message = "bins: found bins for an environment that is finite already, expected none"
+        raise ValueError(message)
+    options = _construct(_TABLE_OPTIONS[LEARNERS[config.type]], config.type, config.options)
+    return TabularMember(options, config.representation, make_key(run_seed, Role.LEARNER, *place))
 
 
 def _construct(constructor: Any, name: str, options: Mapping[str, Any], *arguments: Any) -> Any:

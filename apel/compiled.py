@@ -46,18 +46,20 @@ def _cache_folder() -> Path | None:
 if not numba.config.CACHE_DIR and (_folder := _cache_folder()) is not None:
     numba.config.CACHE_DIR = str(_folder)
 
-_ALL_COMPILED = Path(numba.config.CACHE_DIR or _PACKAGE) / "all-compiled"
+
+def _mark(name: str) -> Path:
+    return Path(numba.config.CACHE_DIR or _PACKAGE) / f"compiled-{name}"
 
 
-def is_all_compiled() -> bool:
-    """Whether `mark_all_compiled` was called for this very code before."""
-    return _ALL_COMPILED.exists()
+def is_compiled(name: str) -> bool:
+    """Whether `mark_compiled` was called with this name for this very code before."""
+    return _mark(name).exists()
 
 
-def mark_all_compiled() -> None:
-    """Remember that everything that is shipped has been compiled, and is in the cache."""
+def mark_compiled(name: str) -> None:
+    """Remember that all that ``name`` needs has been compiled, and is in the cache."""
     with suppress(OSError):
-        _ALL_COMPILED.touch()
+        _mark(name).touch()
 
 
 # error_model="numpy": a division by zero gives inf as in NumPy instead of a branch and an exception in the inner loops.

@@ -29,11 +29,15 @@ class EnvironmentConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """A learner by registry key or import path, with what it sees and its options."""
+    """A learner by registry key or import path, with what it sees and its options.
+
+    A learner that holds others, such as a vote, has ``members``; each of them sees the raw observation in its own way.
+    """
 
     type: str
     options: Mapping[str, Any] = field(default_factory=dict)
     representation: Representation = field(default_factory=Representation)
+    members: tuple[LearnerConfig, ...] = ()
 
 
 @dataclass(frozen=True)

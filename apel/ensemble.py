@@ -16,10 +16,11 @@ from apel.book import RUNNING, advance_run, open_book
 from apel.building import make_member, make_performance
 from apel.configs import LearnerConfig
 from apel.environments import World
-from apel.learners.streaks import measure, not_finite_message
+from apel.learners.streaks import criterion_measure, measure, not_finite_message
 from apel.metrics import Criterion
-from apel.selection import Selector
-from apel.streams import episode_seed
+from apel.selection import Selector, freezes_policies
+from apel.streams import episode_seed, evaluation_seed
+from apel.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,11 @@ class Ensemble:
         performance: str = "return",
         criterion: Criterion | None = None,
     ) -> None:
-        self.members = [make_member(config, world, seed, i) for i, config in enumerate(learners)]
+        freezes, evaluates = freezes_policies(selector), criterion is not None and criterion.evaluation == "greedy"
+        self.members = [
+            make_member(config, world, seed, i, freezes=freezes, evaluates=evaluates)
+            for i, config in enumerate(learners)
+        ]
         self.selector = selector
         self._world = world
         self._performance = make_performance(performance)
@@ -113,17 +118,26 @@ class Ensemble:
         )
 
         # The selected learner generates a trajectory, learning while it acts; then all others train on it.
-        trajectory = self.members[selected].play(
-            self._world.environment, episode_seed(np.uint64(self._world.key), episode)
-        )
+        trajectory = self.play_one(0, episode)
         for index, member in enumerate(self.members):
             if index != selected:
-                member.learn(trajectory)
+                member.learn(trajectory, episode)
 
         # Its performance becomes its estimate; the selector adjusts itself and selects for the next episode.
         performance = measure(self._performance, trajectory)
         if not np.isfinite(performance):
             raise ValueError(not_finite_message(performance))
         episode_return = trajectory.undiscounted_return
-        advance_run(self._book, self.selector, 0, len(trajectory), episode_return, performance)
+        judged = criterion_measure(self._book, self, 0, trajectory)
+        advance_run(self._book, self.selector, 0, len(trajectory), episode_return, performance, judged)
         return EpisodeRecord(episode, selected, episode_return, len(trajectory), probability, concentration, estimate)
+
+    def play_one(self, run: int, episode: int) -> Trajectory:
+        """One episode by the learner whose turn it is; ``run`` is 0, the only one."""
+        seed = episode_seed(np.uint64(self._world.key), episode)
+        return self.members[int(self._book.learner[run])].play(self._world.environment, seed, episode)
+
+    def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
+        """Length and return of an episode by the same learner, without exploring or learning."""
+        seed = evaluation_seed(np.uint64(self._world.key), episode)
+        return self.members[int(self._book.learner[run])].evaluate(self._world.environment, seed)

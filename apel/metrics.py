@@ -1,7 +1,8 @@
 """When a run counts as trained, and how an episode's performance is measured (spec: §4.1.1, §4.1.2).
 
 **Train time** is the number of episodes until the mean length (or return) of the last ``window`` episodes meets a
-threshold. It is kept as a running state, so that it costs the same at every episode.
+threshold. It is kept as a running state, so that it costs the same at every episode. **Adaptation time** is the same,
+counting only the episodes after a switch.
 """
 
 from __future__ import annotations
@@ -24,23 +25,37 @@ _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 @dataclass(frozen=True, config=_CONFIG)
 class Threshold:
-    """``factor`` × the number that the environment reports as ``info``, such as 1.1 × ``optimal_length``."""
+    """``factor`` × (the number that the environment reports as ``info`` + ``plus``), such as 1.1 × ``optimal_length``.
+
+    ``plus`` serves the reading that counts a path's cells, of which there is one more than moves.
+    """
 
     factor: Annotated[float, Field(gt=0.0)]
     info: str
+    plus: float = 0.0
 
 
 @dataclass(frozen=True, config=_CONFIG)
 class Criterion:
     """The mean of ``measure`` over the last ``window`` episodes is below, or at least, a threshold.
 
-    Exactly one of ``below`` and ``at_least`` is given, as a number or as a `Threshold`.
+    Attributes
+    ----------
+    below, at_least:
+        Exactly one of them, as a number or as a `Threshold`.
+    after:
+        Only episodes from this one on count (e_s, §4.3.2): until ``window`` of them were played nothing can be met.
+    evaluation:
+        ``training``: what is measured is the episode itself, exploration on. ``greedy``: after every episode whoever
+        played it plays another one, without exploring and without anybody learning, and that one is measured.
     """
 
     measure: Literal["length", "return"]
     window: Annotated[int, Field(ge=1)]
     below: float | Threshold | None = None
     at_least: float | Threshold | None = None
+    after: Annotated[int, Field(ge=0)] = 0
+    evaluation: Literal["training", "greedy"] = "training"
 
     @model_validator(mode="after")
     def _one_bound(self) -> Criterion:
@@ -70,12 +85,30 @@ class Criterion:
         if bound.info not in info:
             message = f"info: found {bound.info!r}, expected one of those that the environment reports: {sorted(info)}"
             raise ValueError(message)
-        return float(Decimal(str(bound.factor)) * Decimal(str(info[bound.info])))
+        return float(Decimal(str(bound.factor)) * (Decimal(str(info[bound.info])) + Decimal(str(bound.plus))))
 
     def parameters(self) -> NDArray[np.int64]:
-        """``int64[3]`` for `criterion_met`: measure, direction, window."""
+        """``int64[5]``: measure, direction, window, first episode that counts, whether to evaluate greedily."""
         measure = LENGTH if self.measure == "length" else RETURN
-        return np.array([measure, BELOW if self.at_least is None else AT_LEAST, self.window], dtype=np.int64)
+        direction = BELOW if self.at_least is None else AT_LEAST
+        greedy = int(self.evaluation == "greedy")
+        return np.array([measure, direction, self.window, self.after, greedy], dtype=np.int64)
+
+
+NO_CRITERION = np.array([LENGTH, BELOW, 1, 0, 0], dtype=np.int64)
+"""Parameters where there is none; with a threshold of minus infinity nothing is ever below it."""
+
+
+@njit(inline="always")
+def evaluates_greedily(parameters: NDArray[np.int64]) -> bool:
+    """Whether `Criterion.evaluation` is ``greedy``."""
+    return parameters[4] == 1
+
+
+@njit(inline="always")
+def measure_of(parameters: NDArray[np.int64], length: int, episode_return: float) -> float:
+    """What the criterion measures of an episode."""
+    return float(length) if parameters[0] == LENGTH else episode_return
 
 
 @njit
@@ -84,17 +117,18 @@ def criterion_met(
     threshold: float,
     recent: NDArray[np.float64],
     episode: int,
-    length: int,
-    episode_return: float,
+    measure: float,
 ) -> bool:
-    """Take in one episode and tell whether the criterion now holds.
+    """Take in one episode's measure and tell whether the criterion now holds.
 
-    ``recent`` (``float64[window]``) holds the last measures, the one of episode e at e mod window. The mean is summed
+    ``recent`` (``float64[window]``) holds the last measures, the e-th that counts at e mod window. The mean is summed
     afresh, so that no rounding error builds up over a long run.
     """
-    window = parameters[2]
-    recent[episode % window] = float(length) if parameters[0] == LENGTH else episode_return
-    if episode + 1 < window:
+    window, counted = parameters[2], episode - parameters[3]
+    if counted < 0:
+        return False
+    recent[counted % window] = measure
+    if counted + 1 < window:
         return False
     total = 0.0
     for i in range(window):

@@ -7,10 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from apel.learners.base import Performance
+from apel.learners.dyna_q import DynaQ
 from apel.learners.q_learning import QLearning
+from apel.learners.voting import Voting
 from apel.selectors import Apel, Fixed, Ssbas, Uniform
 
-LEARNERS: Mapping[str, Callable[..., Any]] = {"q_learning": QLearning}
+LEARNERS: Mapping[str, Callable[..., Any]] = {"q_learning": QLearning, "dyna_q": DynaQ, "voting": Voting}
 SELECTORS: Mapping[str, Callable[..., Any]] = {"apel": Apel, "ssbas": Ssbas, "uniform": Uniform, "fixed": Fixed}
 METRICS: Mapping[str, Performance] = {"return": "return", "negative_length": "negative_length"}
 

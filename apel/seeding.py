@@ -39,9 +39,11 @@ def run_seeds(seed: int, num_runs: int) -> list[int]:
     return [generator.randint(0, 2**31 - 1) for _ in range(num_runs)]
 
 
-def seed_sequence(run_seed: int, role: Role, index: int = 0) -> np.random.SeedSequence:
-    """The seed sequence of one role of one run; ``index`` tells apart several of a kind (learner 0, learner 1, …)."""
-    return np.random.SeedSequence(run_seed, spawn_key=(int(role), index))
+def seed_sequence(run_seed: int, role: Role, index: int = 0, *members: int) -> np.random.SeedSequence:
+    """The seed sequence of one role of one run; ``index`` tells apart several of a kind (learner 0, learner 1, …), and
+    ``members`` the parts of one that holds others.
+    """
+    return np.random.SeedSequence(run_seed, spawn_key=(int(role), index, *members))
 
 
 def make_stream(run_seed: int, role: Role, index: int = 0) -> Stream:
@@ -50,6 +52,6 @@ def make_stream(run_seed: int, role: Role, index: int = 0) -> Stream:
     return np.array([state, mix_gamma(gamma)], dtype=np.uint64)
 
 
-def make_key(run_seed: int, role: Role, index: int = 0) -> int:
+def make_key(run_seed: int, role: Role, index: int = 0, *members: int) -> int:
     """A 64-bit key for counter-based seeds (see `apel.streams.episode_seed`)."""
-    return int(seed_sequence(run_seed, role, index).generate_state(1, np.uint64)[0])
+    return int(seed_sequence(run_seed, role, index, *members).generate_state(1, np.uint64)[0])

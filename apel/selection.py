@@ -18,14 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import FunctionType
-from typing import Protocol, cast, runtime_checkable
+from typing import ClassVar, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numba import float64, int64, uint64, void
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-from apel.compiled import KernelFunction
+from apel.compiled import KernelFunction, njit
 
 Row = NDArray[np.float64]
 
@@ -62,6 +62,27 @@ class Selector(Protocol):
     def observe(self) -> Observe:
         """``(parameters, num_learners, state, selected, performance) → None``; updates the state in place."""
         ...
+
+
+@runtime_checkable
+class Epochal(Protocol):
+    """A selector that may want its learners' policies frozen within each epoch of 2^β episodes (ESBAS, Algorithm 6).
+
+    The learners go on learning from every episode; what they learned they act on from the next epoch on.
+    """
+
+    freezes_policies: ClassVar[bool]
+
+
+def freezes_policies(selector: Selector) -> bool:
+    """Whether learners act with the policies that they had at the beginning of the epoch."""
+    return isinstance(selector, Epochal) and selector.freezes_policies
+
+
+@njit(inline="always")
+def starts_epoch(episode: int) -> bool:
+    """Whether an epoch of 2^β episodes begins: at the episodes 0, 1, 3, 7, … (Algorithm 6)."""
+    return ((episode + 1) & episode) == 0
 
 
 def header(num_learners: int, concentration: float = np.nan) -> Row:

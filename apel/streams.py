@@ -131,6 +131,12 @@ def episode_seed(key: Any, episode: int) -> Any:
     return np.int64(mix64(np.uint64(key) + np.uint64(episode + 1) * _GOLDEN_GAMMA) & _MASK63)
 
 
+@njit
+def evaluation_seed(key: Any, episode: int) -> Any:
+    """Seed of the greedy evaluation after an episode: as `episode_seed`, of another sequence."""
+    return episode_seed(mix64(np.uint64(key) ^ _GOLDEN_GAMMA), episode)
+
+
 def stream_of_seed(seed: int) -> Stream:
     """A new stream for a 64-bit ``seed``."""
     stream = np.empty(2, dtype=np.uint64)

@@ -53,7 +53,8 @@ class Trajectory:
 class Episodes(NamedTuple):
     """What there is to say of E episodes in a few numbers each; those of one run stand in the order of play.
 
-    ``performance`` is what the selector compares; ``terminated`` is False where an episode was truncated.
+    ``performance`` is what the selector compares, ``measure`` what the criterion measures; ``terminated`` is False
+    where an episode was truncated.
     """
 
     run: NDArray[np.int64]
@@ -64,13 +65,15 @@ class Episodes(NamedTuple):
     """Number of steps."""
     episode_return: NDArray[np.float64]
     performance: NDArray[np.float64]
+    measure: NDArray[np.float64]
     terminated: NDArray[np.bool_]
 
     @classmethod
     def empty(cls, room: int) -> Episodes:
         """Columns with uninitialised room for ``room`` episodes."""
         whole = [np.empty(room, dtype=np.int64) for _ in range(3)]
-        return cls(whole[0], whole[1], whole[2], np.empty(room), np.empty(room), np.empty(room, dtype=np.bool_))
+        real = [np.empty(room) for _ in range(3)]
+        return cls(whole[0], whole[1], whole[2], real[0], real[1], real[2], np.empty(room, dtype=np.bool_))
 
     def first(self, count: int) -> Episodes:
         """The first ``count`` episodes, as views."""

@@ -25,7 +25,7 @@ from cluster.learner_host import make_run_world, open_shard_book
 from cluster.shard import Execution, Shard, recorded_episodes
 
 _MAX_ROWS_IN_MEMORY = 200_000
-_CHECKPOINT_VERSION = 1
+_CHECKPOINT_VERSION = 2
 """To be raised whenever an older checkpoint would go on to other rows."""
 
 
@@ -62,6 +62,8 @@ class RunRows:
     """The criterion never held."""
     episodes: NDArray[np.int64]
     steps: NDArray[np.int64]
+    steady_state: NDArray[np.float64]
+    """Mean return of the last episodes before the cap; NaN where nobody asked for it, or the run ended before."""
     info: tuple[dict[str, float], ...]
 
 
@@ -259,8 +261,14 @@ class _Play:
             censored=time < 0,
             episodes=self.book.episode[done],
             steps=self.book.steps[done],
+            steady_state=self._steady_state()[done],
             info=tuple(self._worlds[run].info for run in done.tolist()),
         )
+
+    def _steady_state(self) -> NDArray[np.float64]:
+        episodes = self.book.num_episodes - self.book.late_from
+        ended = (self.book.episode == self.book.num_episodes) & (episodes > 0)
+        return np.where(ended, self.book.late_return / max(episodes, 1), np.nan)
 
     def checkpoint(self, states: Sequence[State]) -> dict[str, Any]:
         """Everything, as a state tree."""

@@ -14,7 +14,7 @@ from apel.configs import EnvironmentConfig
 from apel.environments import World, make_world
 from apel.learners.base import Failure, LearnerBank, Played, State, StreakLimit
 from apel.registry import load
-from apel.selection import Selector
+from apel.selection import Selector, freezes_policies
 from apel.trajectory import Episodes, TrajectoryBatch
 from cluster.shard import Execution, RunPlan, Shard
 
@@ -42,6 +42,7 @@ def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -
         [run.seed for run in shard.runs],
         [world.info for world in worlds],
         stops_when_met=shard.arm.stops_when_met,
+        steady_state_episodes=shard.arm.steady_state_episodes,
     )
 
 
@@ -76,6 +77,7 @@ class LearnerHost:
         others = [column for i, column in enumerate(columns) if i != index]
         self._selector = make_selector(shard.arm.selector)
         self._book = open_shard_book(shard, worlds, self._selector)
+        criterion = shard.arm.criterion
         self._bank = make_bank(
             columns[index],
             worlds,
@@ -83,6 +85,8 @@ class LearnerHost:
             index,
             make_performance(shard.arm.performance),
             with_probability=any(not is_tabular(column, worlds) for column in others),
+            freezes=freezes_policies(self._selector),
+            evaluates=criterion is not None and criterion.evaluation == "greedy",
         )
         self._index = index
         self._record = bool(others)

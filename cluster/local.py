@@ -4,10 +4,10 @@ microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
-from apel.compiled import is_all_compiled, mark_all_compiled
+from apel.compiled import is_compiled, mark_compiled
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.learners.base import Failure, Played, State
 from apel.registry import SELECTORS
@@ -57,15 +57,19 @@ def run_shards(
             yield shard, event
 
 
-def compile_everything() -> None:
-    """Play a few episodes with everything that is compiled and shipped, so that no worker has to compile it.
+def not_compiled(selectors: Collection[str]) -> list[str]:
+    """Those of the shipped ``selectors`` whose compiled functions are not in the cache yet."""
+    return [name for name in sorted(selectors) if name in SELECTORS and not is_compiled(name)]
 
-    Compiling takes some twenty seconds, once per installation; without this, all workers would do the same at once.
+
+def compile_for(selectors: Collection[str]) -> None:
+    """Play a few episodes with each of some shipped selectors, so that no worker has to compile what it needs.
+
+    Compiling takes some twenty seconds, once per installation, and one for each selector; without this, all workers
+    would do the same at once.
     """
-    if is_all_compiled():
-        return
     maze = EnvironmentConfig("apel/Maze-v0", {"size": 3, "distractors": [2], "max_steps": 20})
-    for selector in SELECTORS:
+    for selector in not_compiled(selectors):
         for num_learners in (1, 2):
             run = RunPlan(0, 0, maze, (LearnerConfig("q_learning"),) * num_learners)
             names = tuple(f"learner {i}" for i in range(num_learners))
@@ -73,7 +77,7 @@ def compile_everything() -> None:
             coordinator = Coordinator(LocalHosts(), _Nowhere(), _Nowhere(), Execution(streak_episodes=2))
             for _ in coordinator.run(Shard(arm, (run,))):
                 pass
-    mark_all_compiled()
+        mark_compiled(selector)
 
 
 class _Nowhere:

@@ -82,7 +82,11 @@ class ArmPlan:
     num_episodes: int
     criterion: Criterion | None = None
     stops_when_met: bool = True
+    steady_state_episodes: int = 0
+    """The steady state is the mean return of so many episodes before the cap; 0 where nobody asks for it."""
     recording: Recording = "none"
+    sweep_values: Mapping[str, Any] = field(default_factory=dict)
+    """What the sweep point stands for, by the name of each axis."""
 
 
 @dataclass(frozen=True)

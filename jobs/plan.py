@@ -13,7 +13,7 @@ import numpy as np
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.seeding import Role, run_seeds, seed_sequence
 from cluster.shard import ArmPlan, RunPlan, Shard
-from jobs.spec import ArmSpec, Experiment, LearnerSpec, representation_of, set_path, validate
+from jobs.spec import ArmSpec, Experiment, representation_of, set_path, validate
 from jobs.yaml_source import Source, SpecError
 
 RunKey = tuple[str, str, int]
@@ -25,40 +25,88 @@ class SweepPoint:
     """One combination of the swept values; the label is empty where nothing is swept."""
 
     label: str
+    values: Mapping[str, Any]
+    """By the name of the axis."""
     experiment: Experiment
 
 
-def sweep_points(experiment: Experiment) -> list[SweepPoint]:
-    """Every combination of the swept values, each a valid experiment of its own.
+@dataclass(frozen=True)
+class _Axis:
+    name: str
+    settings: tuple[Mapping[str, Any], ...]
+    """What to set at each place of the axis: values by path."""
+
+    def value(self, place: int) -> Any:
+        """What stands for the place: the value of the first path."""
+        return next(iter(self.settings[place].values()))
+
+
+def _axes(experiment: Experiment) -> list[_Axis]:
+    axes = []
+    for name, values in experiment.sweep.items():
+        columns = {name: values} if isinstance(values, list) else values
+        rows = zip(*columns.values(), strict=True)
+        axes.append(_Axis(name, tuple(dict(zip(columns, row, strict=True)) for row in rows)))
+    return axes
+
+
+def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tuple[SweepPoint, str]]:
+    """Every arm (of ``arms``; None: of all) at every sweep point that concerns it, in the order of the file.
 
     Raises
     ------
     SpecError
-        If a combination is not valid.
+        If a combination of swept values is not a valid experiment.
     """
-    points = []
-    for values in itertools.product(*experiment.sweep.values()):
-        content = copy.deepcopy(experiment.model_dump(mode="json", exclude={"sweep"}, exclude_none=True))
-        settings = list(zip(experiment.sweep, values, strict=True))
-        label = ", ".join(f"{path}={value}" for path, value in settings)
-        try:
-            for path, value in settings:
-                set_path(content, path, value)
-        except KeyError as error:
-            message = f"sweep: {error.args[0]}"
-            raise SpecError(message) from error
-        points.append(SweepPoint(label, validate(Source(f"sweep point {label}", content)) if settings else experiment))
-    return points
+    content = experiment.model_dump(mode="json", exclude={"sweep"}, exclude_none=True)
+    axes, points = _axes(experiment), {}
+    wanted = []
+    for arm in experiment.arms if arms is None else [arm for arm in experiment.arms if arm in arms]:
+        concerned = [axis for axis in axes if _concerns(axis, arm, content)]
+        for places in itertools.product(*(range(len(axis.settings)) for axis in concerned)):
+            chosen = list(zip(concerned, places, strict=True))
+            label = ", ".join(f"{axis.name}={axis.value(place)}" for axis, place in chosen)
+            if label not in points:
+                points[label] = _point(experiment, content, label, chosen)
+            wanted.append((points[label], arm))
+    return wanted
 
 
-def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tuple[SweepPoint, str]]:
-    """Every arm (of ``arms``; None: of all) at every sweep point, in the order of the file."""
-    return [
-        (point, arm)
-        for point in sweep_points(experiment)
-        for arm in point.experiment.arms
-        if arms is None or arm in arms
-    ]
+def _concerns(axis: _Axis, arm: str, content: dict[str, Any]) -> bool:
+    """Whether the values of an axis make any difference to an arm."""
+    versions = [_concerning(_changed(content, settings), arm) for settings in axis.settings]
+    return len(axis.settings) == 1 or any(version != versions[0] for version in versions)
+
+
+def _concerning(content: dict[str, Any], arm: str) -> dict[str, Any]:
+    """The part of an experiment that an arm depends on."""
+    learners = content["learners"]
+    names = set(content["arms"].get(arm, {}).get("learners", ()))
+    names |= {member for name in names for member in learners.get(name, {}).get("members", ())}
+    used = {name: learners.get(name) for name in names}
+    return {**content, "arms": content["arms"].get(arm), "learners": used}
+
+
+def _changed(content: dict[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(content)
+    try:
+        for path, value in settings.items():
+            set_path(changed, path, value)
+    except KeyError as error:
+        message = f"sweep: {error.args[0]}"
+        raise SpecError(message) from error
+    return changed
+
+
+def _point(
+    experiment: Experiment, content: dict[str, Any], label: str, chosen: Sequence[tuple[_Axis, int]]
+) -> SweepPoint:
+    if not chosen:
+        return SweepPoint("", {}, experiment)
+    for axis, place in chosen:
+        content = _changed(content, axis.settings[place])
+    values = {axis.name: axis.value(place) for axis, place in chosen}
+    return SweepPoint(label, values, validate(Source(f"sweep point {label}", content)))
 
 
 def plan_shards(
@@ -76,9 +124,9 @@ def plan_shards(
     shards = []
     seeds = run_seeds(experiment.seed, experiment.runs)
     points = arm_points(experiment, arms)
-    num_ensembles = sum(len(point.experiment.arms[arm].learners) > 1 for point, arm in points)
+    num_ensembles = sum(len(point.experiment.arms[arm].learner_names) > 1 for point, arm in points)
     for point, arm in points:
-        num_learners = len(point.experiment.arms[arm].learners)
+        num_learners = len(point.experiment.arms[arm].learner_names)
         size = shard_size or default_shard_size(experiment.runs, num_cpus, num_learners, num_ensembles)
         missing = [i for i in range(experiment.runs) if (arm, point.label, i) not in finished]
         plan = arm_plan(point, arm)
@@ -105,13 +153,15 @@ def arm_plan(point: SweepPoint, arm: str) -> ArmPlan:
         experiment=experiment.name,
         arm=arm,
         sweep=point.label,
-        learner_names=_distinct(spec.learners),
+        learner_names=_distinct(spec.learner_names),
         selector=_selector(spec),
         performance=experiment.performance,
         num_episodes=experiment.episodes,
         criterion=experiment.criterion,
         stops_when_met=experiment.stop_when_met,
+        steady_state_episodes=experiment.steady_state_episodes or 0,
         recording=experiment.record,
+        sweep_values=point.values,
     )
 
 
@@ -131,7 +181,7 @@ def run_plan(experiment: Experiment, arm: str, index: int, seed: int) -> RunPlan
         environment=EnvironmentConfig(
             environment.id, _fill(environment.options, variables), environment.run_seed, environment.max_episode_steps
         ),
-        learners=tuple(_learner(experiment.learners[name], variables) for name in experiment.arms[arm].learners),
+        learners=tuple(_learner(experiment, name, variables) for name in experiment.arms[arm].learner_names),
         variables=variables,
     )
 
@@ -145,9 +195,11 @@ def draw_variables(experiment: Experiment, run_seed: int) -> dict[str, Any]:
     return drawn
 
 
-def _learner(spec: LearnerSpec, variables: Mapping[str, Any]) -> LearnerConfig:
+def _learner(experiment: Experiment, name: str, variables: Mapping[str, Any]) -> LearnerConfig:
+    spec = experiment.learners[name]
     representation = representation_of(spec, _fill(spec.representation, variables))
-    return LearnerConfig(spec.type, _fill(spec.options, variables), representation)
+    members = tuple(_learner(experiment, member, variables) for member in spec.members)
+    return LearnerConfig(spec.type, _fill(spec.options, variables), representation, members)
 
 
 def _selector(spec: ArmSpec) -> SelectorConfig:

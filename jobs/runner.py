@@ -11,10 +11,9 @@ from typing import Literal
 
 import pyarrow as pa
 
-from apel.compiled import is_all_compiled
 from cluster.coordinator import ShardDone, ShardProgress
 from cluster.errors import RunFailure
-from cluster.local import compile_everything, run_shards
+from cluster.local import compile_for, not_compiled, run_shards
 from cluster.shard import Execution, Shard
 from jobs.analysis.statistics import summarise
 from jobs.manifest import add_session, new_manifest
@@ -121,7 +120,7 @@ def run_experiment(experiment: Experiment, settings: Settings, observer: Observe
 
 def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
     if store.finished():
-        outcome.summary = summarise(store.consolidate(list(experiment.arms)))
+        outcome.summary = summarise(store.consolidate(experiment))
         store.write_table("summary.parquet", outcome.summary)
 
 
@@ -137,9 +136,10 @@ def _compute(
     observer: Observer,
     outcome: Outcome,
 ) -> None:
-    if not is_all_compiled():
+    selectors = {spec.selector.type if spec.selector else "fixed" for spec in experiment.arms.values()}
+    if not_compiled(selectors):
         observer.compiling()
-        compile_everything()
+        compile_for(selectors)
     clock = _ArmClock()
     with _player(experiment, settings, store, observer) as (num_cpus, play):
         shards = plan_shards(experiment, settings.shard_size, settings.arms, finished, num_cpus)

@@ -21,6 +21,12 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length
 Count = Annotated[int, Field(ge=1, strict=True)]
 
 
+_NOT_SWEPT = {"name", "runs", "seed", "sweep", "arms", "hindsight"}
+_NO_PART_OF_IDENTITY = {"runs", "title", "figures"}
+_FORMAT = 2
+"""To be raised whenever a default, or the meaning of a field, changes what an experiment gives."""
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -46,10 +52,11 @@ class EnvironmentSpec(_Model):
 
 
 class LearnerSpec(_Open):
-    """A learner by registry key or import path, what it sees, and its options."""
+    """A learner by registry key or import path, what it sees, its options; ``members`` are learners that it holds."""
 
     type: str
     representation: dict[str, Any] = {}
+    members: list[Name] = []
 
 
 class SelectorSpec(_Open):
@@ -59,15 +66,23 @@ class SelectorSpec(_Open):
 
 
 class ArmSpec(_Model):
-    """One line in a figure: some learners, and the selector where there are several."""
+    """One line in a figure: some learners (a list of names, or how many of each), and the selector of several."""
 
-    learners: Annotated[list[Name], Field(min_length=1)]
+    learners: Annotated[list[Name] | dict[Name, Count], Field(min_length=1)]
     selector: SelectorSpec | None = None
+
+    @property
+    def learner_names(self) -> list[str]:
+        """Every learner of the arm, in order; one that is there several times is named as often."""
+        if isinstance(self.learners, list):
+            return list(self.learners)
+        return [name for name, count in self.learners.items() for _ in range(count)]
 
     @model_validator(mode="after")
     def _has_selector(self) -> ArmSpec:
-        if len(self.learners) > 1 and self.selector is None:
-            message = f"found {len(self.learners)} learners and no selector, expected a selector that picks among them"
+        count = len(self.learner_names)
+        if count > 1 and self.selector is None:
+            message = f"found {count} learners and no selector, expected a selector that picks among them"
             raise ValueError(message)
         return self
 
@@ -86,9 +101,17 @@ class Experiment(_Model):
     variables:
         Values of which one is drawn uniformly per run; ``$name`` stands for it wherever an option may.
     sweep:
-        Values for fields, by dotted path; every combination is a sweep point.
+        Axes of a grid; every combination of their values is a sweep point, with the same run seeds as all others. An
+        axis is a field's dotted path with its values, or a name with several paths whose values go together. An arm
+        that an axis does not touch is played once, not once per value.
     stop_when_met:
         A run ends when the criterion holds.
+    steady_state_episodes:
+        Over how many episodes before the cap the mean return is taken as the steady state.
+    hindsight:
+        Arms that are not played: of each run, the best of the arms that they list.
+    plots:
+        The figures that are drawn of the results.
     """
 
     name: Name
@@ -101,35 +124,59 @@ class Experiment(_Model):
     variables: dict[Name, Annotated[list[Any], Field(min_length=1)]] = {}
     learners: Annotated[dict[Name, LearnerSpec], Field(min_length=1)]
     arms: Annotated[dict[Name, ArmSpec], Field(min_length=1)]
-    sweep: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    sweep: dict[str, Annotated[list[Any] | dict[str, list[Any]], Field(min_length=1)]] = {}
     performance: str = "return"
     criterion: Criterion | None = None
     stop_when_met: bool = True
+    steady_state_episodes: Count | None = None
+    hindsight: dict[Name, Annotated[list[Name], Field(min_length=1)]] = {}
     record: Recording = "log"
     _source: Source | None = PrivateAttr(default=None)
 
     @field_validator("sweep")
     @classmethod
-    def _sweepable(cls, sweep: dict[str, list[Any]]) -> dict[str, list[Any]]:
-        for path in sweep:
-            if path.split(".")[0] in {"name", "runs", "seed", "sweep", "arms"} and not path.startswith("arms."):
-                message = f"found the path {path!r}, expected a field that may differ between sweep points"
+    def _sweepable(cls, sweep: dict[str, Any]) -> dict[str, Any]:
+        for axis, values in sweep.items():
+            for path in [axis] if isinstance(values, list) else values:
+                if path.split(".")[0] in _NOT_SWEPT and not path.startswith("arms."):
+                    message = f"found the path {path!r}, expected a field that may differ between sweep points"
+                    raise ValueError(message)
+            if isinstance(values, dict) and len({len(column) for column in values.values()}) != 1:
+                message = f"{axis}: found {[len(column) for column in values.values()]} values, expected equally many"
                 raise ValueError(message)
         return sweep
 
     @model_validator(mode="after")
-    def _known_learners(self) -> Experiment:
+    def _known_names(self) -> Experiment:
         for arm, spec in self.arms.items():
-            for learner in spec.learners:
-                if learner not in self.learners:
-                    message = f"arms.{arm}.learners: found {learner!r}, expected one of {sorted(self.learners)}"
+            self._expect_known(f"arms.{arm}.learners", spec.learner_names, self.learners)
+        for name, learner in self.learners.items():
+            self._expect_known(f"learners.{name}.members", learner.members, self.learners)
+            for member in learner.members:
+                if self.learners[member].members:
+                    message = f"learners.{name}.members: found {member!r}, expected learners without members"
                     raise ValueError(message)
+        for arm, sources in self.hindsight.items():
+            self._expect_known(f"hindsight.{arm}", sources, self.arms)
+            if arm in self.arms:
+                message = f"hindsight.{arm}: found the name of an arm that is played, expected another one"
+                raise ValueError(message)
         return self
+
+    def _expect_known(self, place: str, names: Sequence[str], known: Mapping[str, Any]) -> None:
+        for name in names:
+            if name not in known:
+                message = f"{place}: found {name!r}, expected one of {sorted(known)}"
+                raise ValueError(message)
 
     @property
     def identity(self) -> str:
-        """Twelve hexadecimal digits that change with everything that changes a row; the number of runs does not."""
-        content = self.model_dump(mode="json", exclude={"runs", "title", "figures"})
+        """Twelve hexadecimal digits that change with everything that changes a row; the number of runs does not.
+
+        Fields at their defaults do not count, so that a field that is added later changes no identity.
+        """
+        content = self.model_dump(mode="json", exclude=_NO_PART_OF_IDENTITY, exclude_defaults=True)
+        content["format"] = _FORMAT
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
     def where(self, *place: str) -> str:

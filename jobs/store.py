@@ -28,11 +28,15 @@ from apel.book import EpisodeRows
 from cluster.coordinator import RunRows
 from cluster.shard import Shard
 from cluster.storage import Folder
-from jobs.plan import RunKey
+from jobs.hindsight import with_hindsight
+from jobs.plan import RunKey, arm_points
 from jobs.spec import Experiment, validate
 from jobs.yaml_source import parse
 
-_RUN_COLUMNS = ("experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored", "episodes", "steps")
+_RUN_COLUMNS = (
+    "experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored", "adaptation_time", "steady_state",
+    "episodes", "steps",
+)  # fmt: skip
 
 
 class StoreError(Exception):
@@ -104,17 +108,19 @@ class ResultStore:
             keys.update(zip(*(table[column].to_pylist() for column in table.column_names), strict=True))
         return keys
 
-    def consolidate(self, arms: Sequence[str]) -> pa.Table:
-        """Make ``runs.parquet`` from the parts, in the order of the arms; returns its rows."""
+    def consolidate(self, experiment: Experiment) -> pa.Table:
+        """Make ``runs.parquet`` from the parts, in the order of the arms and sweep points; returns its rows."""
         tables = [self._read(f"parts/{name}") for name in self.folder.names("parts")]
         if not tables:
             message = f"{self.folder.location()}: found no finished run"
             raise StoreError(message)
+        order = [(arm, point.label) for point, arm in arm_points(experiment, None)]
+        place = {key: position for position, key in enumerate(order)}
         table = pa.concat_tables(tables, promote_options="permissive")
-        position = pa.array([arms.index(arm) for arm in table["arm"].to_pylist()])
-        table = table.append_column("position", position)
-        keys = [(name, "ascending") for name in ("position", "sweep", "run_index")]
-        table = table.sort_by(keys).drop_columns(["position"])
+        keys = zip(table["arm"].to_pylist(), table["sweep"].to_pylist(), strict=True)
+        table = table.append_column("position", pa.array([place[key] for key in keys]))
+        table = table.sort_by([("position", "ascending"), ("run_index", "ascending")]).drop_columns(["position"])
+        table = with_hindsight(table, experiment.hindsight)
         self.write_table("runs.parquet", table)
         return table
 
@@ -243,6 +249,7 @@ def _write(folder: Folder, name: str, table: pa.Table) -> None:
 def _run_table(shard: Shard, runs: RunRows) -> pa.Table:
     plans = [shard.runs[position] for position in runs.position]
     has_criterion = shard.arm.criterion is not None
+    after = shard.arm.criterion.after if shard.arm.criterion else 0
     count = len(plans)
     columns: dict[str, Any] = {
         "experiment": pa.array([shard.arm.experiment] * count, pa.string()),
@@ -252,10 +259,13 @@ def _run_table(shard: Shard, runs: RunRows) -> pa.Table:
         "seed": pa.array([plan.seed for plan in plans], pa.int64()),
         "train_time": pa.array(runs.train_time if has_criterion else [None] * count, pa.int64()),
         "censored": pa.array(runs.censored if has_criterion else [None] * count, pa.bool_()),
+        "adaptation_time": pa.array(runs.train_time - after if after else [None] * count, pa.int64()),
+        "steady_state": pa.array(runs.steady_state, pa.float64(), from_pandas=True),
         "episodes": pa.array(runs.episodes, pa.int64()),
         "steps": pa.array(runs.steps, pa.int64()),
     }
-    extras = [{**info, **plan.variables} for info, plan in zip(runs.info, plans, strict=True)]
+    swept = shard.arm.sweep_values
+    extras = [{**info, **plan.variables, **swept} for info, plan in zip(runs.info, plans, strict=True)]
     for name in dict.fromkeys(name for extra in extras for name in extra if name not in _RUN_COLUMNS):
         columns[name] = pa.array([_plain(extra.get(name)) for extra in extras])
     return pa.table(columns)

@@ -8,6 +8,7 @@ from apel.book import open_book
 from apel.building import make_bank, make_performance, make_selector
 from apel.environments import World
 from apel.seeding import run_seeds
+from apel.selection import Selector, freezes_policies
 from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
 from jobs.plan import SweepPoint, arm_plan, arm_points, draw_variables, run_plan
@@ -55,11 +56,12 @@ def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
         world = make_run_world(run)
         place = ("performance",)
         make_performance(plan.performance)
-        for position, name in enumerate(experiment.arms[arm].learners):
-            place = ("learners", name)
-            _build_learner(run, world, position, plan)
         place = ("arms", arm, "selector")
         selector = make_selector(plan.selector)
+        for position, name in enumerate(experiment.arms[arm].learner_names):
+            place = ("learners", name)
+            _build_learner(run, world, position, plan, selector)
+        place = ("arms", arm, "selector")
         selector.initial_state(len(run.learners), plan.num_episodes)
         place = ("criterion",)
         open_book(selector, len(run.learners), plan.num_episodes, plan.criterion, [seed], [world.info])
@@ -70,6 +72,14 @@ def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
         raise SpecError(message) from error
 
 
-def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan) -> None:
-    performance = make_performance(plan.performance)
-    make_bank([run.learners[index]], [world], [run.seed], index, performance, with_probability=False)
+def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan, selector: Selector) -> None:
+    make_bank(
+        [run.learners[index]],
+        [world],
+        [run.seed],
+        index,
+        make_performance(plan.performance),
+        with_probability=False,
+        freezes=freezes_policies(selector),
+        evaluates=plan.criterion is not None and plan.criterion.evaluation == "greedy",
+    )

@@ -74,6 +74,24 @@ class Learner(Protocol):
         ...
 
 
+@runtime_checkable
+class HasActionValues(Protocol):
+    """A learner that can say what it thinks of each action: it can vote, and be evaluated without exploring."""
+
+    def action_values(self, observation: Any) -> NDArray[np.float64]:
+        """``float64[actions]``: what its policy acts on; larger is better. Draws nothing, changes nothing."""
+        ...
+
+
+@runtime_checkable
+class Freezable(Protocol):
+    """A learner that can act on what it knew some time ago while it goes on learning (ESBAS, Algorithm 6)."""
+
+    def freeze(self) -> None:
+        """From now on act on what is known now, until the next call."""
+        ...
+
+
 class StreakLimit(NamedTuple):
     """How long a host may keep a run before it reports back. It changes no result, only the number of messages."""
 

@@ -13,7 +13,7 @@ from apel.learners.base import Failure, Performance, Played, State, StreakLimit
 from apel.learners.member import Member
 from apel.learners.streaks import play_streaks
 from apel.selection import Selector
-from apel.streams import episode_seed
+from apel.streams import episode_seed, evaluation_seed
 from apel.trajectory import Trajectory, TrajectoryBatch
 
 
@@ -40,7 +40,7 @@ class GenericBank:
         self, runs: Sequence[int], book: Book, selector: Selector, me: int, limit: StreakLimit, *, record: bool
     ) -> Played:
         """See `LearnerBank`."""
-        return play_streaks(self._play_one, runs, book, selector, me, limit, self._performance, record=record)
+        return play_streaks(self, runs, book, selector, me, limit, self._performance, record=record)
 
     def learn(self, batch: TrajectoryBatch) -> tuple[Failure, ...]:
         """Learn from others' episodes; a run whose learner raises fails alone."""
@@ -49,7 +49,7 @@ class GenericBank:
             if run in failures:
                 continue
             try:
-                self._members[run].learn(trajectory)
+                self._members[run].learn(trajectory, episode)
             except Exception as error:  # noqa: BLE001 - whatever a user's code raises ends this run, and only this one
                 failures[run] = Failure(run, episode, f"{type(error).__name__}: {error}")
         return tuple(failures.values())
@@ -63,5 +63,10 @@ class GenericBank:
         for member, one in zip(self._members, state["learners"], strict=True):
             member.learner.restore(one)
 
-    def _play_one(self, run: int, episode: int) -> Trajectory:
-        return self._members[run].play(self._environments[run], episode_seed(self._keys[run], episode))
+    def play_one(self, run: int, episode: int) -> Trajectory:
+        """See `apel.learners.streaks.Player`."""
+        return self._members[run].play(self._environments[run], episode_seed(self._keys[run], episode), episode)
+
+    def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
+        """See `apel.learners.streaks.Player`."""
+        return self._members[run].evaluate(self._environments[run], evaluation_seed(self._keys[run], episode))

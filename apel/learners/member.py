@@ -12,8 +12,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from apel.finite import FiniteModel
-from apel.learners.base import Learner, Transition
+from apel.learners.base import Freezable, HasActionValues, Learner, Transition
 from apel.representations import View
+from apel.selection import starts_epoch
 from apel.trajectory import Trajectory
 
 
@@ -40,15 +41,26 @@ class Codec:
 
 
 class Member:
-    """A learner with its view and codec."""
+    """A learner with its view and codec; with ``freezes`` its policy is frozen within each epoch of 2^β episodes."""
 
-    def __init__(self, learner: Learner, view: View, codec: Codec) -> None:
+    def __init__(
+        self,
+        learner: Learner,
+        view: View,
+        codec: Codec,
+        action_space: Any,
+        *,
+        freezes: bool = False,
+    ) -> None:
         self.learner = learner
         self._view = view
         self._codec = codec
+        self._first_action = int(action_space.start)
+        self._freezes = freezes
 
-    def play(self, environment: gymnasium.Env[Any, Any], seed: int) -> Trajectory:
-        """Act for one episode, learning step by step."""
+    def play(self, environment: gymnasium.Env[Any, Any], seed: int, episode: int) -> Trajectory:
+        """Act in the run's episode ``episode``, learning step by step."""
+        self._freeze_at_epoch(episode)
         observation, _ = environment.reset(seed=seed)
         observations, actions, rewards, probabilities = [self._codec.encode(observation)], [], [], []
         while True:
@@ -75,8 +87,26 @@ class Member:
             probability=np.array(known) if len(known) == len(actions) else None,
         )
 
-    def learn(self, trajectory: Trajectory) -> None:
-        """Train on an episode that another learner played, in the same order."""
+    def evaluate(self, environment: gymnasium.Env[Any, Any], seed: int) -> tuple[int, float]:
+        """Length and return of an episode in which it takes the first of its best actions, and nobody learns."""
+        assert isinstance(self.learner, HasActionValues)  # noqa: S101 - make_member has seen to it
+        observation, _ = environment.reset(seed=seed)
+        length, total = 0, 0.0
+        while True:
+            action = int(np.argmax(self.learner.action_values(self._view(observation)))) + self._first_action
+            observation, reward, terminated, truncated, _ = environment.step(action)
+            length += 1
+            total += float(reward)
+            if terminated or truncated:
+                return length, total
+
+    def _freeze_at_epoch(self, episode: int) -> None:
+        if self._freezes and starts_epoch(episode) and isinstance(self.learner, Freezable):
+            self.learner.freeze()
+
+    def learn(self, trajectory: Trajectory, episode: int) -> None:
+        """Train on the run's episode ``episode``, which another learner played, in the same order."""
+        self._freeze_at_epoch(episode)
         last = len(trajectory) - 1
         seen = self._view(self._codec.decode(trajectory.observation[0]))
         for step in range(len(trajectory)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from gymnasium import spaces
@@ -19,11 +19,11 @@ from pydantic.dataclasses import dataclass
 from apel.learners.base import State, Transition
 from apel.streams import integer, stream_of_seed, uniform
 
-_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+OPTIONS_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@dataclass(frozen=True, config=OPTIONS_CONFIG)
 class Decay:
     """ε(t) = end + (start − end) · exp(−t / steps), t counted in observed environment steps."""
 
@@ -32,7 +32,7 @@ class Decay:
     steps: Annotated[float, Field(gt=0.0)]
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@dataclass(frozen=True, config=OPTIONS_CONFIG)
 class Switch:
     """ε is ``before`` in the episodes 0 … ``episode`` − 1 and ``after`` from then on (§4.2.2)."""
 
@@ -41,7 +41,7 @@ class Switch:
     after: _Probability
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@dataclass(frozen=True, config=OPTIONS_CONFIG)
 class QLearningOptions:
     """Options of Q-learning; the defaults are those of the dissertation's maze experiments (§4.3.1).
 
@@ -53,11 +53,14 @@ class QLearningOptions:
         γ, 0 ≤ γ ≤ 1.
     exploration:
         ε of the ε-greedy policy: constant, decaying, or switched at an episode.
+    tie_breaking:
+        Among equally good actions take a ``random`` one, or the ``first``.
     """
 
     learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     discount: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     exploration: _Probability | Decay | Switch = 0.1
+    tie_breaking: Literal["random", "first"] = "random"
 
     def exploration_rate(self, episode: int, steps: int) -> float:
         """ε in episode ``episode``, after ``steps`` observed environment steps."""
@@ -70,8 +73,11 @@ class QLearningOptions:
                 return rate
 
 
+Table = defaultdict[tuple[int, ...], NDArray[np.float64]]
+
+
 class QLearning:
-    """Q-learning with a table, an ε-greedy policy with uniform tie-breaking, and values that start at zero.
+    """Q-learning with a table, an ε-greedy policy, and values that start at zero.
 
     Learns Q(s, a) ← Q(s, a) + α (r + γ max Q(s′, ·) − Q(s, a)) (Eq. 2.8); V of a terminal state is zero, a truncated
     episode bootstraps.
@@ -89,27 +95,31 @@ class QLearning:
     """
 
     off_policy: ClassVar[bool] = True
+    options_type: ClassVar[type[QLearningOptions]] = QLearningOptions
 
     def __init__(self, observation_space: spaces.Space[Any], action_space: Any, seed: int, **options: Any) -> None:
         if not isinstance(observation_space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
             message = (
-                f"q_learning needs finitely many states: found the observation space {observation_space}, expected a "
+                f"a table needs finitely many states: found the observation space {observation_space}, expected a "
                 "discrete one, or a representation with bins"
             )
             raise ValueError(message)
-        self.options = QLearningOptions(**options)
+        self.options = self.options_type(**options)
         self.num_actions = int(action_space.n)
         self.first_action = int(action_space.start)
-        self.table: defaultdict[tuple[int, ...], NDArray[np.float64]] = defaultdict(self._zeros)
+        self.table: Table = defaultdict(self._zeros)
+        self.frozen: Table | None = None
         self.stream = stream_of_seed(seed)
         self.episode = 0
         self.steps = 0
 
     def act(self, observation: Any) -> tuple[int, NDArray[np.float64]]:
         """ε-greedy: an action, and the probabilities of all."""
-        values = self.table[_key(observation)]
+        values = self.action_values(observation)
         exploration = self.options.exploration_rate(self.episode, self.steps)
         greedy = np.flatnonzero(values == values.max())
+        if self.options.tie_breaking == "first":
+            greedy = greedy[:1]
         probability = np.full(self.num_actions, exploration / self.num_actions)
         probability[greedy] += (1.0 - exploration) / len(greedy)
         if uniform(self.stream) < exploration:
@@ -120,14 +130,27 @@ class QLearning:
             action = int(greedy[integer(self.stream, len(greedy))])
         return action + self.first_action, probability
 
+    def action_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q(s, ·) ``float64[actions]``, as it was when the policy was frozen if it ever was."""
+        table = self.table if self.frozen is None else self.frozen
+        return table[observation_key(observation)]
+
+    def freeze(self) -> None:
+        """Act on today's table until the next call."""
+        self.frozen = defaultdict(self._zeros, {key: values.copy() for key, values in self.table.items()})
+
     def learn(self, transition: Transition) -> None:
         """Eq. 2.8 for one step."""
-        values = self.table[_key(transition.observation)]
-        following = 0.0 if transition.terminated else float(self.table[_key(transition.next_observation)].max())
-        target = transition.reward + self.options.discount * following
+        next_key = None if transition.terminated else observation_key(transition.next_observation)
         action = transition.action - self.first_action
-        values[action] += self.options.learning_rate * (target - values[action])
+        self.update(observation_key(transition.observation), action, transition.reward, next_key)
         self.steps += 1
+
+    def update(self, key: tuple[int, ...], action: int, reward: float, next_key: tuple[int, ...] | None) -> None:
+        """Eq. 2.8; no next state where the episode terminated."""
+        following = 0.0 if next_key is None else float(self.table[next_key].max())
+        target = reward + self.options.discount * following
+        self.table[key][action] += self.options.learning_rate * (target - self.table[key][action])
 
     def end_episode(self) -> None:
         """Advance the episode clock."""
@@ -136,8 +159,8 @@ class QLearning:
     def state(self) -> State:
         """Table, stream and clocks."""
         return {
-            "keys": [list(key) for key in self.table],
-            "values": np.array(list(self.table.values())).reshape(-1, self.num_actions),
+            "table": self._packed(self.table),
+            "frozen": None if self.frozen is None else self._packed(self.frozen),
             "stream": self.stream.copy(),
             "episode": self.episode,
             "steps": self.steps,
@@ -145,16 +168,24 @@ class QLearning:
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
-        self.table.clear()
-        for key, values in zip(state["keys"], state["values"], strict=True):
-            self.table[tuple(key)] = np.array(values)
+        self.table = self._unpacked(state["table"])
+        self.frozen = None if state["frozen"] is None else self._unpacked(state["frozen"])
         self.stream = state["stream"].copy()
         self.episode = state["episode"]
         self.steps = state["steps"]
+
+    def _packed(self, table: Table) -> State:
+        values = np.array(list(table.values())).reshape(-1, self.num_actions)
+        return {"keys": [list(key) for key in table], "values": values}
+
+    def _unpacked(self, packed: State) -> Table:
+        rows = zip(packed["keys"], packed["values"], strict=True)
+        return defaultdict(self._zeros, {tuple(key): np.array(values) for key, values in rows})
 
     def _zeros(self) -> NDArray[np.float64]:
         return np.zeros(self.num_actions)
 
 
-def _key(observation: Any) -> tuple[int, ...]:
+def observation_key(observation: Any) -> tuple[int, ...]:
+    """A finite observation as the key of a table."""
     return tuple(int(value) for value in np.atleast_1d(observation))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from apel.book import RUNNING, Book, advance_run
 from apel.learners.base import Failure, Performance, Played, StreakLimit
+from apel.metrics import evaluates_greedily, measure_of
 from apel.selection import Selector
 from apel.trajectory import Episodes, Trajectory, batch_of
 
@@ -21,8 +23,28 @@ def measure(performance: Performance, trajectory: Trajectory) -> float:
     return float(performance(trajectory))
 
 
+class Player(Protocol):
+    """What plays single episodes of single runs, without the book."""
+
+    def play_one(self, run: int, episode: int) -> Trajectory:
+        """Act in one episode, learning step by step."""
+        ...
+
+    def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
+        """Length and return of one episode without exploring or learning."""
+        ...
+
+
+def criterion_measure(book: Book, player: Player, run: int, trajectory: Trajectory) -> float:
+    """What the criterion measures of the coming episode of ``run``, which has just been played."""
+    length, episode_return = len(trajectory), trajectory.undiscounted_return
+    if evaluates_greedily(book.criterion_parameters):
+        length, episode_return = player.evaluate_one(run, int(book.episode[run]))
+    return float(measure_of(book.criterion_parameters, length, episode_return))
+
+
 def play_streaks(
-    play_one: Callable[[int, int], Trajectory],
+    player: Player,
     runs: Sequence[int],
     book: Book,
     selector: Selector,
@@ -32,9 +54,9 @@ def play_streaks(
     *,
     record: bool,
 ) -> Played:
-    """Play the streak of each run with ``play_one(run, episode)``; a run that raises fails alone."""
+    """Play the streak of each run; a run that raises fails alone."""
     trajectories: list[Trajectory] = []
-    rows: list[tuple[int, int, int, float, float, bool]] = []
+    rows: list[tuple[int, int, int, float, float, float, bool]] = []
     failures: list[Failure] = []
     steps_per_run = max(limit.steps // len(runs), 1)
     for run in runs:
@@ -42,14 +64,14 @@ def play_streaks(
         while book.status[run] == RUNNING and book.learner[run] == me:
             episode = int(book.episode[run])
             try:
-                trajectory = play_one(run, episode)
+                trajectory = player.play_one(run, episode)
                 value = measure(performance, trajectory)
-                total = trajectory.undiscounted_return
-                advance_run(book, selector, run, len(trajectory), total, value)
+                total, judged = trajectory.undiscounted_return, criterion_measure(book, player, run, trajectory)
+                advance_run(book, selector, run, len(trajectory), total, value, judged)
             except Exception as error:  # noqa: BLE001 - whatever a user's code raises ends this run, and only this one
                 failures.append(Failure(run, episode, f"{type(error).__name__}: {error}"))
                 break
-            rows.append((run, episode, len(trajectory), total, value, trajectory.terminated))
+            rows.append((run, episode, len(trajectory), total, value, judged, trajectory.terminated))
             if record:
                 trajectories.append(trajectory)
             streak_episodes += 1

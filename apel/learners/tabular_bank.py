@@ -1,4 +1,4 @@
-"""Q-learning for all runs of a shard, on any finite environment, in compiled loops."""
+"""Tabular learners for all runs of a shard, on any finite environment, in compiled loops."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from apel.book import Book, is_compiled
 from apel.finite import FiniteModel, stack_models
 from apel.learners.base import Failure, Performance, Played, State, StreakLimit
-from apel.learners.q_learning import Decay, QLearningOptions, Switch
 from apel.learners.streaks import not_finite_failures, play_streaks
-from apel.learners.tabular_kernels import QTables, Recording, learn_episodes, play_compiled_streaks, play_episode
-from apel.representations import Representation, state_rows
+from apel.learners.tabular_kernels import Recording, evaluate_episode, play_episode
+from apel.learners.tabular_streaks import learn_episodes, play_compiled_streaks
+from apel.learners.tabular_tables import TabularLearner, make_tables, restore_tables, tables_state
 from apel.selection import Selector
-from apel.streams import episode_seed, stream_of_seed
+from apel.streams import episode_seed, evaluation_seed, stream_of_seed
 from apel.trajectory import Episodes, Trajectory, TrajectoryBatch
-
-_NO_SWITCH = np.iinfo(np.int64).max
 
 
 class TabularBank:
-    """Q-learning for every run of a shard, on finite environments.
+    """Q-learning, Dyna-Q, or a vote of several of them, for every run of a shard, on finite environments.
 
     Parameters
     ----------
@@ -30,32 +28,31 @@ class TabularBank:
         The environment of each run.
     environment_keys:
         One 64-bit key per run (`apel.streams.episode_seed`).
-    options, representations:
-        Those of each run's learner.
-    seeds:
-        64-bit seed of each run's learner.
+    learners:
+        That of each run, all with the same number of members.
     performance:
         How good an episode was.
     with_probability:
         Record μ(·|s) in the trajectories, for learners that need it.
+    freezes:
+        Policies are frozen within each epoch (`apel.selection.Epochal`).
     """
 
     def __init__(
         self,
         models: Sequence[FiniteModel],
         environment_keys: Sequence[int],
-        options: Sequence[QLearningOptions],
-        representations: Sequence[Representation],
-        seeds: Sequence[int],
+        learners: Sequence[TabularLearner],
         performance: Performance,
         *,
         with_probability: bool,
+        freezes: bool = False,
     ) -> None:
         self._world = stack_models(models)
         self._keys = np.array(environment_keys, dtype=np.uint64)
         self._performance = performance
         self._with_probability = with_probability
-        self._tables = _new_tables(models[0], options, representations, seeds)
+        self._tables = make_tables(models[0], learners, freezes=freezes)
         self._observation_type = np.uint16 if models[0].num_states <= np.iinfo(np.uint16).max else np.int32
 
     def play(
@@ -63,7 +60,7 @@ class TabularBank:
     ) -> Played:
         """See `LearnerBank`; a selector or a metric that is not compiled is asked after every episode."""
         if not is_compiled(selector) or callable(self._performance):
-            return play_streaks(self._play_one, runs, book, selector, me, limit, self._performance, record=record)
+            return play_streaks(self, runs, book, selector, me, limit, self._performance, record=record)
         steps_per_run = max(limit.steps // len(runs), 1)
         max_episodes = min(limit.episodes, book.num_episodes)
         room = len(runs) * (steps_per_run + self._world.max_steps) if record else 0
@@ -88,7 +85,7 @@ class TabularBank:
         return _played(recording, self._world.reward_value, episodes.first(count), record=record)
 
     def learn(self, batch: TrajectoryBatch) -> tuple[Failure, ...]:
-        """Eq. 2.8 for every step of others' episodes."""
+        """Learn from every step of others' episodes."""
         learn_episodes(
             batch.episodes, batch.observation, batch.action, batch.reward_code, batch.reward_value, self._tables
         )
@@ -96,20 +93,20 @@ class TabularBank:
 
     def state(self) -> State:
         """Tables, streams and clocks."""
-        return {
-            "value": self._tables.value.copy(),
-            "stream": self._tables.stream.copy(),
-            "steps": self._tables.steps.copy(),
-        }
+        return tables_state(self._tables)
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
-        self._tables.value[:] = state["value"]
-        self._tables.stream[:] = state["stream"]
-        self._tables.steps[:] = state["steps"]
+        restore_tables(self._tables, state)
 
-    def _play_one(self, run: int, episode: int) -> Trajectory:
-        """One episode of one run, without the book."""
+    def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
+        """See `apel.learners.streaks.Player`."""
+        stream = stream_of_seed(evaluation_seed(self._keys[run], episode))
+        length, episode_return = evaluate_episode(self._world, self._tables, run, stream)
+        return int(length), float(episode_return)
+
+    def play_one(self, run: int, episode: int) -> Trajectory:
+        """See `apel.learners.streaks.Player`."""
         recording = self._new_recording(self._world.max_steps, 1)
         stream = stream_of_seed(episode_seed(self._keys[run], episode))
         length, _, terminated = play_episode(self._world, self._tables, run, episode, stream, recording, 0, 0, True)
@@ -128,40 +125,6 @@ class TabularBank:
             np.empty(steps, dtype=self._world.reward_code.dtype),
             np.empty((steps if self._with_probability else 0, self._tables.value.shape[2])),
         )
-
-
-def _new_tables(
-    model: FiniteModel,
-    options: Sequence[QLearningOptions],
-    representations: Sequence[Representation],
-    seeds: Sequence[int],
-) -> QTables:
-    views = list(dict.fromkeys(representations))
-    values = model.feature_values()
-    rows = np.stack([state_rows(view, model.features, values) for view in views])
-    explorations = [_exploration_columns(option) for option in options]
-    return QTables(
-        value=np.zeros((len(options), int(rows.max()) + 1, model.num_actions)),
-        row=rows,
-        row_set=np.array([views.index(representation) for representation in representations], dtype=np.int64),
-        stream=np.array([stream_of_seed(seed) for seed in seeds], dtype=np.uint64),
-        steps=np.zeros(len(options), dtype=np.int64),
-        learning_rate=np.array([option.learning_rate for option in options]),
-        discount=np.array([option.discount for option in options]),
-        exploration=np.array([rates for rates, _, _ in explorations]),
-        switch_episode=np.array([switch for _, switch, _ in explorations], dtype=np.int64),
-        decay_steps=np.array([steps for _, _, steps in explorations]),
-    )
-
-
-def _exploration_columns(options: QLearningOptions) -> tuple[tuple[float, float], int, float]:
-    match options.exploration:
-        case Decay(start, end, steps):
-            return (start, end), _NO_SWITCH, steps
-        case Switch(before, episode, after):
-            return (before, after), episode, 0.0
-        case float(rate):
-            return (rate, rate), _NO_SWITCH, 0.0
 
 
 def _played(recording: Recording, reward_value: NDArray[np.float64], episodes: Episodes, *, record: bool) -> Played:

@@ -1,7 +1,8 @@
-"""Compiled loops of tabular Q-learning (Algorithm 2): Q-tables of many runs, whole streaks on finite environments.
+"""Compiled loops of tabular learners (Algorithm 2): one episode, acted and learned, and one greedy episode.
 
-An environment step with its update costs tens of nanoseconds here. The readable statement of the same algorithm is
-`apel.learners.q_learning.QLearning`; both draw the same numbers in the same order.
+An environment step with its update costs tens of nanoseconds here. The readable statements of the same algorithms are
+`apel.learners.q_learning`, `apel.learners.dyna_q` and `apel.learners.voting`; both draw the same numbers in the same
+order.
 """
 
 from __future__ import annotations
@@ -12,34 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.book import RUNNING, Book, advance
 from apel.compiled import njit
 from apel.finite import FiniteTables, draw_distractor, draw_outcome, draw_start
-from apel.selection import Observe, Select
-from apel.streams import Stream, episode_seed, integer, start_stream, uniform
-from apel.trajectory import Episodes
-
-
-class QTables(NamedTuple):
-    """The learners of R runs, as arrays."""
-
-    value: NDArray[np.float64]
-    """``float64[R, rows, actions]``."""
-    row: NDArray[np.int32]
-    """``int32[row sets, states]``: the row of each state, once for each representation among the runs."""
-    row_set: NDArray[np.int64]
-    """``int64[R]``: which of the row sets is the run's."""
-    stream: NDArray[np.uint64]
-    """``uint64[R, 2]``."""
-    steps: NDArray[np.int64]
-    """``int64[R]``: observed environment steps."""
-    learning_rate: NDArray[np.float64]
-    discount: NDArray[np.float64]
-    exploration: NDArray[np.float64]
-    """``float64[R, 2]``: ε before and after the switch, or at the start and the end of the decay."""
-    switch_episode: NDArray[np.int64]
-    decay_steps: NDArray[np.float64]
-    """``float64[R]``: 0 for an ε that does not decay."""
+from apel.learners.tabular_tables import NO_VOTE, Tables
+from apel.learners.voting import boltzmann, preferences
+from apel.selection import starts_epoch
+from apel.streams import Stream, categorical, integer, uniform
 
 
 class Recording(NamedTuple):
@@ -53,11 +32,11 @@ class Recording(NamedTuple):
 
 
 @njit(inline="always")
-def _exploration_rate(tables: QTables, run: int, episode: int) -> float:
-    if tables.decay_steps[run] > 0.0:
-        start, end = tables.exploration[run, 0], tables.exploration[run, 1]
-        return end + (start - end) * math.exp(-tables.steps[run] / tables.decay_steps[run])
-    return tables.exploration[run, 0] if episode < tables.switch_episode[run] else tables.exploration[run, 1]
+def _exploration_rate(tables: Tables, member: int, episode: int) -> float:
+    if tables.decay_steps[member] > 0.0:
+        start, end = tables.exploration[member, 0], tables.exploration[member, 1]
+        return end + (start - end) * math.exp(-tables.steps[member] / tables.decay_steps[member])
+    return tables.exploration[member, 0] if episode < tables.switch_episode[member] else tables.exploration[member, 1]
 
 
 @njit(inline="always")
@@ -94,13 +73,13 @@ def _break_tie(values: NDArray[np.float64], row: int, best: float, position: int
 
 @njit
 def _write_probability(
-    probability: NDArray[np.float64], values: NDArray[np.float64], row: int, best: float, ties: int, exploration: float
+    probability: NDArray[np.float64], values: NDArray[np.float64], row: int, greedy: int, ties: int, exploration: float
 ) -> None:
-    """μ(·|s) of the ε-greedy policy, with the values before this step's update."""
+    """μ(·|s) of the ε-greedy policy, with the values before this step's update; one tie where the first is taken."""
     num_actions = values.shape[1]
     for action in range(num_actions):
-        greedy = (1.0 - exploration) / ties if values[row, action] == best else 0.0
-        probability[action] = exploration / num_actions + greedy
+        is_greedy = action == greedy if ties == 1 else values[row, action] == values[row, greedy]
+        probability[action] = exploration / num_actions + ((1.0 - exploration) / ties if is_greedy else 0.0)
 
 
 @njit(inline="always")
@@ -113,9 +92,63 @@ def _update(
 
 
 @njit
+def _plan(tables: Tables, member: int, row: int, action: int, reward: float, next_row: int, terminal: bool) -> None:
+    """Dyna-Q: remember what happened, then learn from pairs that were seen before."""
+    values = tables.value[member]
+    rate, discount = tables.learning_rate[member], tables.discount[member]
+    num_actions = values.shape[1]
+    pair = row * num_actions + action
+    if tables.model_row[member, pair] < 0:
+        tables.pair[member, tables.num_pairs[member]] = pair
+        tables.num_pairs[member] += 1
+    tables.model_row[member, pair] = next_row
+    tables.model_reward[member, pair] = reward
+    tables.model_terminal[member, pair] = terminal
+    for _ in range(tables.planning_steps[member]):
+        drawn = np.int64(tables.pair[member, integer(tables.stream[member], tables.num_pairs[member])])
+        following = 0.0
+        if not tables.model_terminal[member, drawn]:
+            following = _maximum(values, np.int64(tables.model_row[member, drawn]))
+        reward = tables.model_reward[member, drawn]
+        _update(values, drawn // num_actions, drawn % num_actions, reward, following, rate, discount)
+
+
+@njit(inline="always")
+def learn_step(
+    tables: Tables,
+    member: int,
+    values: NDArray[np.float64],
+    row: int,
+    action: int,
+    reward: float,
+    next_row: int,
+    terminal: bool,
+) -> None:
+    """Eq. 2.8 for one observed step of one member with the table ``values``, and its planning."""
+    following = 0.0 if terminal else _maximum(values, next_row)
+    _update(values, row, action, reward, following, tables.learning_rate[member], tables.discount[member])
+    if tables.planning_steps[member] > 0:
+        _plan(tables, member, row, action, reward, next_row, terminal)
+
+
+@njit(inline="always")
+def freeze_at_epoch(tables: Tables, run: int, episode: int) -> None:
+    """Where policies are frozen: at the beginning of an epoch, act from now on on what is known now."""
+    if tables.frozen.shape[0] > 0 and starts_epoch(episode):
+        for member in range(run * tables.num_members, (run + 1) * tables.num_members):
+            tables.frozen[member] = tables.value[member]
+
+
+@njit(inline="always")
+def _acting(tables: Tables, member: int) -> NDArray[np.float64]:
+    """The values that the policy acts on."""
+    return tables.frozen[member] if tables.frozen.shape[0] > 0 else tables.value[member]
+
+
+@njit
 def play_episode(
     world: FiniteTables,
-    tables: QTables,
+    tables: Tables,
     run: int,
     episode: int,
     environment_stream: Stream,
@@ -129,22 +162,44 @@ def play_episode(
     Step t is recorded at ``start + t``, observations one place later per recorded episode (``position`` of them
     before).
     """
+    freeze_at_epoch(tables, run, episode)
+    if tables.method[run] != NO_VOTE:
+        return _play_voting(world, tables, run, environment_stream, recording, start, position, record)
+    return _play_exploring(world, tables, run, episode, environment_stream, recording, start, position, record)
+
+
+@njit
+def _play_exploring(
+    world: FiniteTables,
+    tables: Tables,
+    run: int,
+    episode: int,
+    environment_stream: Stream,
+    recording: Recording,
+    start: int,
+    position: int,
+    record: bool,
+) -> tuple[int, float, bool]:
+    """ε-greedy."""
     model = world.model[run]
     next_cell, code_of, terminal_of = world.next_cell[model], world.reward_code[model], world.terminal[model]
     rows, values, stream = tables.row[tables.row_set[run]], tables.value[run], tables.stream[run]
     rate, discount = tables.learning_rate[run], tables.discount[run]
-    decays = tables.decay_steps[run] > 0.0
+    decays, plans = tables.decay_steps[run] > 0.0, tables.planning_steps[run] > 0
+    freezes, takes_first = tables.frozen.shape[0] > 0, tables.takes_first[run]
+    acting = _acting(tables, run)
     exploration = _exploration_rate(tables, run, episode)
     cell, distractor = draw_start(world, model, environment_stream)
     state = cell * world.num_distractor_values + distractor
     row = np.int64(rows[state])
-    best, greedy, ties = _greedy(values, row)
+    best, greedy, ties = _greedy(acting, row)
     total = 0.0
     for step in range(world.max_steps):
+        ties = 1 if takes_first else ties
         if uniform(stream) < exploration:
             action = integer(stream, values.shape[1])
         else:
-            action = greedy if ties == 1 else _break_tie(values, row, best, integer(stream, ties))
+            action = greedy if ties == 1 else _break_tie(acting, row, best, integer(stream, ties))
         outcome = draw_outcome(world, model, cell, action, environment_stream)
         reward_code = code_of[cell, action, outcome]
         reward = world.reward_value[reward_code]
@@ -154,17 +209,19 @@ def play_episode(
             recording.action[start + step] = action
             recording.reward_code[start + step] = reward_code
             if recording.probability.shape[0] > 0:
-                _write_probability(recording.probability[start + step], values, row, best, ties, exploration)
+                _write_probability(recording.probability[start + step], acting, row, greedy, ties, exploration)
         cell = np.int64(next_cell[cell, action, outcome])
         state = cell * world.num_distractor_values + draw_distractor(world, environment_stream)
         next_row = np.int64(rows[state])
         best, greedy, ties = _greedy(values, next_row)
         _update(values, row, action, reward, 0.0 if terminal else best, rate, discount)
-        if next_row == row:
-            best, greedy, ties = _greedy(values, row)
+        tables.steps[run] += 1
+        if plans:
+            _plan(tables, run, row, action, reward, next_row, terminal)
+        if freezes or plans or next_row == row:
+            best, greedy, ties = _greedy(acting, next_row)
         row = next_row
         total += reward
-        tables.steps[run] += 1
         if decays:
             exploration = _exploration_rate(tables, run, episode)
         if terminal:
@@ -175,75 +232,85 @@ def play_episode(
 
 
 @njit
-def play_compiled_streaks(
-    runs: NDArray[np.int64],
-    world: FiniteTables,
-    environment_key: NDArray[np.uint64],
-    tables: QTables,
-    book: Book,
-    select: Select,
-    observe: Observe,
-    me: int,
-    by_length: bool,
-    max_episodes: int,
-    max_steps: int,
-    record: bool,
-    recording: Recording,
-    episodes: Episodes,
-) -> int:
-    """Play each run's streak, of at most ``max_episodes`` or until ``max_steps``; returns the number of episodes."""
-    stream = np.empty(2, dtype=np.uint64)
-    count, start = 0, 0
-    for run in runs:
-        streak_episodes, streak_steps = 0, 0
-        while True:
-            episode = book.episode[run]
-            start_stream(episode_seed(environment_key[run], episode), stream)
-            length, episode_return, terminated = play_episode(
-                world, tables, run, episode, stream, recording, start, count, record
-            )
-            performance = -float(length) if by_length else episode_return
-            episodes.run[count] = run
-            episodes.episode[count] = episode
-            episodes.length[count] = length
-            episodes.episode_return[count] = episode_return
-            episodes.performance[count] = performance
-            episodes.terminated[count] = terminated
-            count += 1
-            start += length
-            streak_episodes += 1
-            streak_steps += length
-            advance(book, select, observe, run, length, episode_return, performance)
-            if book.status[run] != RUNNING or book.learner[run] != me:
-                break
-            if streak_episodes >= max_episodes or streak_steps >= max_steps:
-                break
-    return count
+def _read_preferences(
+    tables: Tables, run: int, state: int, draws: bool, values: NDArray[np.float64], preference: NDArray[np.float64]
+) -> None:
+    """What the members of a voting learner think of a state; ``values`` is room for ``float64[members, actions]``."""
+    for i in range(tables.num_members):
+        member = run * tables.num_members + i
+        values[i] = _acting(tables, member)[np.int64(tables.row[tables.row_set[member], state])]
+    stream = tables.vote_stream[run]
+    preferences(values, tables.method[run], tables.member_temperature[run], stream, draws, preference)
 
 
 @njit
-def learn_episodes(
-    episodes: Episodes,
-    observation: NDArray[Any],
-    action: NDArray[Any],
-    reward_code: NDArray[Any],
-    reward_value: NDArray[np.float64],
-    tables: QTables,
-) -> None:
-    """Eq. 2.8 for every step of a batch, in order."""
-    start = 0
-    for e in range(episodes.run.shape[0]):
-        run, length = episodes.run[e], episodes.length[e]
-        rows = tables.row[tables.row_set[run]]
-        values = tables.value[run]
-        rate, discount = tables.learning_rate[run], tables.discount[run]
-        last = length - 1
-        for step in range(length):
-            row = rows[observation[start + e + step]]
-            following = 0.0
-            if step < last or not episodes.terminated[e]:
-                following = _maximum(values, rows[observation[start + e + step + 1]])
-            reward = reward_value[reward_code[start + step]]
-            _update(values, row, np.int64(action[start + step]), reward, following, rate, discount)
-        tables.steps[run] += length
-        start += length
+def _play_voting(
+    world: FiniteTables,
+    tables: Tables,
+    run: int,
+    environment_stream: Stream,
+    recording: Recording,
+    start: int,
+    position: int,
+    record: bool,
+) -> tuple[int, float, bool]:
+    """The members vote on every action, and all learn from it."""
+    model = world.model[run]
+    values = np.empty((tables.num_members, tables.value.shape[2]))
+    probability = np.empty(tables.value.shape[2])
+    cell, distractor = draw_start(world, model, environment_stream)
+    state = cell * world.num_distractor_values + distractor
+    total, terminal = 0.0, False
+    for step in range(world.max_steps):
+        _read_preferences(tables, run, state, True, values, probability)
+        boltzmann(probability, tables.temperature[run])
+        action = categorical(tables.vote_stream[run], probability)
+        outcome = draw_outcome(world, model, cell, action, environment_stream)
+        reward_code = world.reward_code[model, cell, action, outcome]
+        reward = world.reward_value[reward_code]
+        terminal = world.terminal[model, cell, action, outcome]
+        if record:
+            recording.observation[start + position + step] = state
+            recording.action[start + step] = action
+            recording.reward_code[start + step] = reward_code
+            if recording.probability.shape[0] > 0:
+                recording.probability[start + step] = probability
+        cell = np.int64(world.next_cell[model, cell, action, outcome])
+        next_state = cell * world.num_distractor_values + draw_distractor(world, environment_stream)
+        for i in range(tables.num_members):
+            member = run * tables.num_members + i
+            rows = tables.row[tables.row_set[member]]
+            row, next_row = np.int64(rows[state]), np.int64(rows[next_state])
+            learn_step(tables, member, tables.value[member], row, action, reward, next_row, terminal)
+            tables.steps[member] += 1
+        state = next_state
+        total += reward
+        if terminal:
+            break
+    if record:
+        recording.observation[start + position + step + 1] = state
+    return step + 1, total, terminal
+
+
+@njit
+def evaluate_episode(world: FiniteTables, tables: Tables, run: int, environment_stream: Stream) -> tuple[int, float]:
+    """One episode without exploring or learning, the first of equally good actions: its length and its return."""
+    model = world.model[run]
+    values = np.empty((tables.num_members, tables.value.shape[2]))
+    preference = np.empty((1, tables.value.shape[2]))
+    cell, distractor = draw_start(world, model, environment_stream)
+    length, total, terminal = 0, 0.0, False
+    while not terminal and length < world.max_steps:
+        state = cell * world.num_distractor_values + distractor
+        if tables.method[run] == NO_VOTE:
+            preference[0] = _acting(tables, run)[np.int64(tables.row[tables.row_set[run], state])]
+        else:
+            _read_preferences(tables, run, state, False, values, preference[0])
+        _, action, _ = _greedy(preference, 0)
+        outcome = draw_outcome(world, model, cell, action, environment_stream)
+        total += world.reward_value[world.reward_code[model, cell, action, outcome]]
+        terminal = world.terminal[model, cell, action, outcome]
+        length += 1
+        cell = np.int64(world.next_cell[model, cell, action, outcome])
+        distractor = draw_distractor(world, environment_stream)
+    return length, total

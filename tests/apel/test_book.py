@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apel.book import FINISHED, NOT_FINITE, RUNNING, Book, advance_run, is_compiled, open_book, replay
-from apel.metrics import Criterion, Threshold
+from apel import book as apel_book
+from apel.book import FINISHED, NOT_FINITE, RUNNING, Book, is_compiled, open_book, replay
+from apel.metrics import Criterion, Threshold, measure_of
 from apel.seeding import Role, make_stream
 from apel.selection import Selector
 from apel.selectors import Apel, Fixed, Ssbas, Uniform
@@ -36,9 +37,15 @@ def episodes_of(rows: Sequence[tuple[int, int, int, float]]) -> Episodes:
     """From (run, episode, length, return); the performance is the return."""
     episodes = Episodes.empty(len(rows))
     for i, (run, episode, length, total) in enumerate(rows):
-        for column, value in zip(episodes, (run, episode, length, total, total, True), strict=True):
+        for column, value in zip(episodes, (run, episode, length, total, total, float(length), True), strict=True):
             column[i] = value
     return episodes
+
+
+def advance_run(book: Book, selector: Any, run: int, length: int, total: float, performance: float) -> None:
+    """`apel.book.advance_run` with the criterion's measure of the episode itself."""
+    measure = measure_of(book.criterion_parameters, length, total)
+    apel_book.advance_run(book, selector, run, length, total, performance, measure)
 
 
 def assert_same_books(one: Book, other: Book) -> None:

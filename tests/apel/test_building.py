@@ -77,7 +77,7 @@ def test_wrong_selector_is_one_clear_line(config: SelectorConfig, parts: list[st
 @pytest.mark.parametrize(
     ("config", "parts"),
     [
-        (LearnerConfig("dqn2"), ["found the learner 'dqn2'", "['q_learning']"]),
+        (LearnerConfig("dqn2"), ["found the learner 'dqn2'", "'q_learning'"]),
         (LearnerConfig("no_such_module:Learner"), ["importing 'no_such_module' failed: ModuleNotFoundError"]),
         (LearnerConfig(f"{HERE}:Nobody"), [f"module '{HERE}' has no 'Nobody'"]),
         (LearnerConfig(f"{HERE}:NoLearner"), ["found NoLearner, expected a learner"]),
@@ -108,7 +108,7 @@ def test_table_for_a_continuous_environment_is_refused(cart_pole: World) -> None
     """Q-learning on CartPole without bins says what is missing."""
     with pytest.raises(ValueError, match="expected a discrete one, or a representation with bins") as error:
         make_member(LearnerConfig("q_learning"), cart_pole, 1, 0)
-    assert_one_line(error, "q_learning: q_learning needs finitely many states")
+    assert_one_line(error, "q_learning: a table needs finitely many states")
 
 
 def test_bins_that_do_not_fit_are_refused(cart_pole: World) -> None:

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apel.metrics import Criterion, Threshold, criterion_met
+from apel.metrics import Criterion, Threshold, criterion_met, measure_of
 
 
 def when_met(criterion: Criterion, threshold: float, episodes: Sequence[tuple[int, float]]) -> list[bool]:
     """Feed (length, return) pairs to the running criterion: whether it holds after each."""
-    recent = np.zeros(criterion.window)
+    recent, parameters = np.zeros(criterion.window), criterion.parameters()
     return [
-        bool(criterion_met(criterion.parameters(), threshold, recent, e, length, episode_return))
+        bool(criterion_met(parameters, threshold, recent, e, measure_of(parameters, length, episode_return)))
         for e, (length, episode_return) in enumerate(episodes)
     ]
 

@@ -209,9 +209,9 @@ def test_state_is_a_snapshot() -> None:
     fresh = learner.state()
     play(learner, 20)
     state = learner.state()
-    before = state["values"].copy(), state["stream"].copy()
+    before = state["table"]["values"].copy(), state["stream"].copy()
     play(learner, 20)
-    np.testing.assert_array_equal(state["values"], before[0])
+    np.testing.assert_array_equal(state["table"]["values"], before[0])
     np.testing.assert_array_equal(state["stream"], before[1])
     learner.restore(fresh)
     assert (len(learner.table), learner.steps, learner.episode) == (0, 0, 0)
@@ -251,5 +251,5 @@ def test_options_out_of_range_are_refused(option: str, value: Any) -> None:
 
 def test_continuous_observations_are_refused() -> None:
     """A table needs finitely many states: the error says how to get them."""
-    with pytest.raises(ValueError, match=r"q_learning needs finitely many states: .*Box.*representation with bins"):
+    with pytest.raises(ValueError, match=r"a table needs finitely many states: .*Box.*representation with bins"):
         QLearning(spaces.Box(0.0, 1.0, (2,)), ACTIONS, 0)

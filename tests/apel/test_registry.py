@@ -11,8 +11,8 @@ from apel.selectors import Apel
 
 def test_shipped_names() -> None:
     """The names that experiment files use."""
-    assert set(LEARNERS) == {"q_learning"}
-    assert set(SELECTORS) == {"apel", "ssbas", "uniform", "fixed"}
+    assert set(LEARNERS) == {"q_learning", "dyna_q", "voting"}
+    assert set(SELECTORS) >= {"apel", "ssbas", "uniform", "fixed"}
     assert set(METRICS) == {"return", "negative_length"}
 
 
@@ -30,9 +30,9 @@ def test_import_path_stands_for_its_object() -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("q_lerning", "found the learner 'q_lerning', expected one of ['q_learning'] or an import path"),
-        ("", "found the learner '', expected one of ['q_learning'] or an import path"),
-        ("math.tau", "found the learner 'math.tau', expected one of ['q_learning'] or an import path"),
+        ("q_lerning", "found the learner 'q_lerning', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
+        ("", "found the learner '', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
+        ("math.tau", "found the learner 'math.tau', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
         ("math:tao", "found the import path 'math:tao', but module 'math' has no 'tao'"),
         ("math:", "found the import path 'math:', but module 'math' has no ''"),
         (

@@ -38,7 +38,7 @@ def episodes_of(made: list[Trajectory]) -> Episodes:
     episodes = Episodes.empty(len(made))
     for i, trajectory in enumerate(made):
         total = trajectory.undiscounted_return
-        row = (i % 3, 10 + i, len(trajectory), total, total, trajectory.terminated)
+        row = (i % 3, 10 + i, len(trajectory), total, total, total, trajectory.terminated)
         for column, value in zip(episodes, row, strict=True):
             column[i] = value
     return episodes
@@ -86,14 +86,14 @@ def test_probabilities_travel_only_if_all_episodes_have_them() -> None:
 def test_nbytes_counts_every_column() -> None:
     """The size of a batch is the sum of its columns' bytes."""
     batch = TrajectoryBatch(
-        episodes=Episodes.empty(2),  # 5 columns of 8 bytes and one of 1: 2 · 41 = 82
+        episodes=Episodes.empty(2),  # 6 columns of 8 bytes and one of 1: 2 · 49 = 98
         observation=np.zeros(7, dtype=np.uint16),  # 14
         action=np.zeros(5, dtype=np.uint8),  # 5
         reward_code=np.zeros(5, dtype=np.uint8),  # 5
         reward_value=np.zeros(2),  # 16
         probability=np.zeros((5, 4)),  # 160
     )
-    assert batch.nbytes == 82 + 14 + 5 + 5 + 16 + 160
+    assert batch.nbytes == 98 + 14 + 5 + 5 + 16 + 160
 
 
 def test_first_episodes_are_views() -> None:
@@ -101,7 +101,7 @@ def test_first_episodes_are_views() -> None:
     episodes = Episodes.empty(5)
     first = episodes.first(2)
     first.run[1] = 77
-    assert [len(column) for column in first] == [2] * 6
+    assert [len(column) for column in first] == [2] * 7
     assert episodes.run[1] == 77
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jobs.plan import all_run_keys, default_shard_size, draw_variables, plan_shards, sweep_points
+from jobs.plan import all_run_keys, arm_points, default_shard_size, draw_variables, plan_shards
 from jobs.spec import Experiment, load_experiment, validate
 from jobs.yaml_source import parse
 from tests.conftest import SMALL
@@ -76,12 +76,32 @@ def test_repeated_learners_are_numbered() -> None:
 
 
 def test_sweep_is_a_grid(small: Path) -> None:
-    """Every combination of the swept values is a point, with a label."""
+    """Every combination of the swept values is a point, with a label; an arm has those of the axes that touch it."""
     swept = load_experiment(str(small), ["sweep={episodes: [5, 6], arms.APEL.selector.decay: [0.1, 0.2]}"])
-    labels = [point.label for point in sweep_points(swept)]
-    assert labels == [
+    points = arm_points(swept, None)
+    assert [point.label for point, arm in points if arm == "Q_full"] == ["episodes=5", "episodes=6"]
+    assert [point.label for point, arm in points if arm == "APEL"] == [
         "episodes=5, arms.APEL.selector.decay=0.1",
         "episodes=5, arms.APEL.selector.decay=0.2",
         "episodes=6, arms.APEL.selector.decay=0.1",
         "episodes=6, arms.APEL.selector.decay=0.2",
     ]
+
+
+def test_named_axis_sets_several_fields(small: Path) -> None:
+    """The values of a named axis go together; its name is the label, and a column of the run rows."""
+    axis = "{cap: {episodes: [5, 6], arms.APEL.selector.decay: [0.1, 0.2]}}"
+    swept = load_experiment(str(small), [f"sweep={axis}", "arms.APEL.learners={Q_full: 2, Q_red: 1}"])
+    points = [point for point, arm in arm_points(swept, ["APEL"])]
+    assert [(point.label, point.values) for point in points] == [("cap=5", {"cap": 5}), ("cap=6", {"cap": 6})]
+    assert [point.experiment.episodes for point in points] == [5, 6]
+    selectors = [point.experiment.arms["APEL"].selector for point in points]
+    assert [selector.options["decay"] for selector in selectors if selector] == [0.1, 0.2]
+    assert points[0].experiment.arms["APEL"].learner_names == ["Q_full", "Q_full", "Q_red"]
+
+
+def test_axis_that_does_not_touch_an_arm_is_not_its(small: Path) -> None:
+    """An arm is played once, not once for every value that makes no difference to it."""
+    swept = load_experiment(str(small), ["sweep={nu: {arms.APEL.selector.decay: [0.1, 0.2, 0.3]}}"])
+    assert [point.label for point, arm in arm_points(swept, ["SSBAS"])] == [""]
+    assert len(arm_points(swept, None)) == 1 + 3 + 1

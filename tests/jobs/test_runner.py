@@ -85,8 +85,9 @@ def test_files_open_everywhere(small: Path, tmp_path: Path) -> None:
     """pandas, polars and DuckDB read runs and episodes as they are, and agree."""
     folder = folder_of(run(small, tmp_path))
     frame = pd.read_parquet(folder / "runs.parquet")
-    assert list(frame.columns[:9]) == [
-        "experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored", "episodes", "steps",
+    assert list(frame.columns[:11]) == [
+        "experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored",
+        "adaptation_time", "steady_state", "episodes", "steps",
     ]  # fmt: skip
     assert {"optimal_length", "dropped"} <= set(frame.columns)
     assert frame["dropped"].isin(["x", "y", "distractor"]).all()

@@ -63,7 +63,7 @@ def test_round_trip_of_any_values(seed: int, episodes: int, decay: float, stop: 
 
 def test_identity_is_stable() -> None:
     """The identity of a spec is part of every path: it changes only when the meaning of the spec does."""
-    assert load_experiment("distractor-maze").identity == "1b35c4bcf822"
+    assert load_experiment("distractor-maze").identity == "07d952f82b2f"
 
 
 @pytest.mark.parametrize(
