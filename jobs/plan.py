@@ -13,7 +13,7 @@ import numpy as np
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.seeding import Role, run_seeds, seed_sequence
 from cluster.shard import ArmPlan, RunPlan, Shard
-from jobs.spec import ArmSpec, Experiment, representation_of, set_path, validate
+from jobs.spec import LABEL, ArmSpec, Experiment, representation_of, set_path, validate
 from jobs.yaml_source import Source, SpecError
 
 RunKey = tuple[str, str, int]
@@ -35,18 +35,17 @@ class _Axis:
     name: str
     settings: tuple[Mapping[str, Any], ...]
     """What to set at each place of the axis: values by path."""
-
-    def value(self, place: int) -> Any:
-        """What stands for the place: the value of the first path."""
-        return next(iter(self.settings[place].values()))
+    labels: tuple[Any, ...]
+    """What stands for each place: its label, or the value of its first path."""
 
 
 def _axes(experiment: Experiment) -> list[_Axis]:
     axes = []
     for name, values in experiment.sweep.items():
-        columns = {name: values} if isinstance(values, list) else values
+        columns = {name: values} if isinstance(values, list) else dict(values)
+        labels = columns.pop(LABEL, None) or next(iter(columns.values()))
         rows = zip(*columns.values(), strict=True)
-        axes.append(_Axis(name, tuple(dict(zip(columns, row, strict=True)) for row in rows)))
+        axes.append(_Axis(name, tuple(dict(zip(columns, row, strict=True)) for row in rows), tuple(labels)))
     return axes
 
 
@@ -65,7 +64,7 @@ def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tup
         concerned = [axis for axis in axes if _concerns(axis, arm, content)]
         for places in itertools.product(*(range(len(axis.settings)) for axis in concerned)):
             chosen = list(zip(concerned, places, strict=True))
-            label = ", ".join(f"{axis.name}={axis.value(place)}" for axis, place in chosen)
+            label = ", ".join(f"{axis.name}={axis.labels[place]}" for axis, place in chosen)
             if label not in points:
                 points[label] = _point(experiment, content, label, chosen)
             wanted.append((points[label], arm))
@@ -105,7 +104,7 @@ def _point(
         return SweepPoint("", {}, experiment)
     for axis, place in chosen:
         content = _changed(content, axis.settings[place])
-    values = {axis.name: axis.value(place) for axis, place in chosen}
+    values = {axis.name: axis.labels[place] for axis, place in chosen}
     return SweepPoint(label, values, validate(Source(f"sweep point {label}", content)))
 
 

@@ -15,14 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from apel.metrics import Criterion
 from apel.representations import Representation
 from cluster.shard import Recording
+from jobs.plots import Picture, Plot
 from jobs.yaml_source import Place, Source, SpecError, parse
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=80)]
 Count = Annotated[int, Field(ge=1, strict=True)]
 
 
-_NOT_SWEPT = {"name", "runs", "seed", "sweep", "arms", "hindsight"}
-_NO_PART_OF_IDENTITY = {"runs", "title", "figures"}
+_NOT_SWEPT = {"name", "runs", "seed", "sweep", "arms", "hindsight", "plots"}
+_NO_PART_OF_IDENTITY = {"runs", "title", "figures", "hindsight", "plots"}
+LABEL = "label"
+"""In an axis of the sweep: no path, but what its places are called."""
 _FORMAT = 2
 """To be raised whenever a default, or the meaning of a field, changes what an experiment gives."""
 
@@ -87,6 +90,24 @@ class ArmSpec(_Model):
         return self
 
 
+class Gallery(_Model):
+    """Figures that need no runs."""
+
+    name: Name
+    title: str = ""
+    figures: list[str] = []
+    seed: Annotated[int, Field(ge=0, strict=True)] = 1234
+    environment: EnvironmentSpec | None = None
+    pictures: Annotated[list[Picture], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _has_environment(self) -> Gallery:
+        if self.environment is None and any(picture.kind == "mazes" for picture in self.pictures):
+            message = "found pictures of mazes and no environment, expected the environment that they are of"
+            raise ValueError(message)
+        return self
+
+
 class Experiment(_Model):
     """An experiment: arms × sweep points × runs.
 
@@ -102,8 +123,9 @@ class Experiment(_Model):
         Values of which one is drawn uniformly per run; ``$name`` stands for it wherever an option may.
     sweep:
         Axes of a grid; every combination of their values is a sweep point, with the same run seeds as all others. An
-        axis is a field's dotted path with its values, or a name with several paths whose values go together. An arm
-        that an axis does not touch is played once, not once per value.
+        axis is a field's dotted path with its values, or a name with several paths whose values go together (and a
+        ``label`` for each, where the first path's values say too little). An arm that an axis does not touch is played
+        once, not once per value.
     stop_when_met:
         A run ends when the criterion holds.
     steady_state_episodes:
@@ -131,13 +153,14 @@ class Experiment(_Model):
     steady_state_episodes: Count | None = None
     hindsight: dict[Name, Annotated[list[Name], Field(min_length=1)]] = {}
     record: Recording = "log"
+    plots: list[Plot] = []
     _source: Source | None = PrivateAttr(default=None)
 
     @field_validator("sweep")
     @classmethod
     def _sweepable(cls, sweep: dict[str, Any]) -> dict[str, Any]:
         for axis, values in sweep.items():
-            for path in [axis] if isinstance(values, list) else values:
+            for path in [axis] if isinstance(values, list) else set(values) - {LABEL}:
                 if path.split(".")[0] in _NOT_SWEPT and not path.startswith("arms."):
                     message = f"found the path {path!r}, expected a field that may differ between sweep points"
                     raise ValueError(message)

@@ -1,0 +1,73 @@
+"""What an experiment file may say of the figures that are drawn of its results."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Metric = Literal["train_time", "adaptation_time", "steady_state"]
+Theory = Literal["adaptation_formula", "adaptation_model", "performance_formula", "performance_model", "growth_formula"]
+"""``…_formula`` is the dissertation's (Eq. 3.7, 3.11, 3.14), ``…_model`` the one that heeds selection."""
+
+
+class _Plot(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
+    """Of its files below ``figures/``."""
+    title: str = ""
+    arms: list[str] = []
+    """Only these, in this order; all where empty."""
+    where: dict[str, list[Any]] = {}
+    """Only rows with these values in these columns; rows without a value stay."""
+
+
+class ArmPlot(_Plot):
+    """One metric, arm by arm: means with intervals; histograms; the share of runs that are done by an episode."""
+
+    kind: Literal["bars", "distributions", "survival"]
+    metric: Metric = "train_time"
+
+
+class LinePlot(_Plot):
+    """One metric over an axis of the sweep, a line with its spread for each arm (and value of the other axes)."""
+
+    kind: Literal["lines"]
+    metric: Metric
+    x: str
+    x_scale: Literal["linear", "log", "symlog"] = "linear"
+    y_scale: Literal["linear", "log"] = "linear"
+    theory: list[Theory] = []
+
+
+class CurvePlot(_Plot):
+    """What happens from episode to episode: mean and spread over runs, one panel per quantity."""
+
+    kind: Literal["curves"]
+    panels: Annotated[list[Literal["return", "length", "concentration", "probability"]], Field(min_length=1)]
+    """Concentration and probability have a line for each learner, return and length one for each arm."""
+    switch_episode: int | None = None
+    """Marked by a dashed line."""
+    smooth: Annotated[int, Field(ge=1)] = 1
+    """Recorded episodes of which a moving mean is drawn."""
+    theory: list[Theory] = []
+
+
+Plot = Annotated[ArmPlot | LinePlot | CurvePlot, Field(discriminator="kind")]
+
+
+class Picture(_Plot):
+    """A figure that needs no runs: of the theory (§3.5, §3.6), or of the mazes that runs are played in."""
+
+    kind: Literal["growth", "adaptation", "design", "mazes"]
+    decays: list[Annotated[float, Field(ge=0.0, lt=1.0)]] = []
+    episodes: Annotated[int, Field(ge=1)] = 500
+    count: Annotated[int, Field(ge=1)] = 6
+
+    @model_validator(mode="after")
+    def _has_decays(self) -> Picture:
+        if self.kind != "mazes" and not self.decays:
+            message = f"{self.kind}: found no decays, expected at least one"
+            raise ValueError(message)
+        return self
