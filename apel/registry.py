@@ -6,14 +6,35 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from apel import selectors
 from apel.learners.base import Performance
 from apel.learners.dyna_q import DynaQ
 from apel.learners.q_learning import QLearning
 from apel.learners.voting import Voting
-from apel.selectors import Apel, Fixed, Ssbas, Uniform
 
 LEARNERS: Mapping[str, Callable[..., Any]] = {"q_learning": QLearning, "dyna_q": DynaQ, "voting": Voting}
-SELECTORS: Mapping[str, Callable[..., Any]] = {"apel": Apel, "ssbas": Ssbas, "uniform": Uniform, "fixed": Fixed}
+SELECTORS: Mapping[str, Callable[..., Any]] = {
+    "apel": selectors.Apel,
+    "apel_recency": selectors.ApelRecency,
+    "apel_margin": selectors.ApelMargin,
+    "apel_surprise": selectors.ApelSurprise,
+    "ssbas": selectors.Ssbas,
+    "esbas": selectors.Esbas,
+    "ucb1": selectors.Ucb1,
+    "sw_ucb": selectors.SwUcb,
+    "d_ucb": selectors.DUcb,
+    "discounted_ts": selectors.DiscountedTs,
+    "dynamic_ts": selectors.DynamicTs,
+    "exp3": selectors.Exp3,
+    "exp3s": selectors.Exp3S,
+    "agent57": selectors.Agent57,
+    "corral": selectors.Corral,
+    "d3rb": selectors.D3rb,
+    "ed2rb": selectors.Ed2rb,
+    "epsilon_greedy": selectors.EpsilonGreedy,
+    "uniform": selectors.Uniform,
+    "fixed": selectors.Fixed,
+}
 METRICS: Mapping[str, Performance] = {"return": "return", "negative_length": "negative_length"}
 
 

@@ -24,7 +24,8 @@ def _select_uniform(parameters: Row, num_learners: int, state: Row, stream: NDAr
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+    """r̂_L ← performance."""
     state[num_learners + selected] = performance
 
 
@@ -41,7 +42,7 @@ class Fixed:
     learner: Annotated[int, Field(ge=0)] = 0
 
     select = staticmethod(_select_fixed)
-    observe = staticmethod(_observe)
+    observe = staticmethod(observe)
 
     def parameters(self) -> Row:
         """``float64[1]``: the learner."""
@@ -62,7 +63,7 @@ class Uniform:
     """Selects every learner with probability 1/n, whatever happens."""
 
     select = staticmethod(_select_uniform)
-    observe = staticmethod(_observe)
+    observe = staticmethod(observe)
 
     def parameters(self) -> Row:
         """``float64[0]``: there are none."""

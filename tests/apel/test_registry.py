@@ -12,7 +12,13 @@ from apel.selectors import Apel
 def test_shipped_names() -> None:
     """The names that experiment files use."""
     assert set(LEARNERS) == {"q_learning", "dyna_q", "voting"}
-    assert set(SELECTORS) >= {"apel", "ssbas", "uniform", "fixed"}
+    families = (
+        {"apel", "apel_recency", "apel_margin", "apel_surprise"},
+        {"ssbas", "esbas", "ucb1", "sw_ucb", "d_ucb", "agent57", "d3rb", "ed2rb"},
+        {"discounted_ts", "dynamic_ts", "exp3", "exp3s", "corral"},
+        {"epsilon_greedy", "uniform", "fixed"},
+    )
+    assert set(SELECTORS) == set().union(*families)
     assert set(METRICS) == {"return", "negative_length"}
 
 

@@ -1,0 +1,48 @@
+"""ε-greedy on the latest performances: what APEL is without its Dirichlet distribution (§2.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from apel.selection import SELECTOR_CONFIG, Row, compiled_select, header
+from apel.selectors.constant import observe
+from apel.selectors.indices import pick_largest_or_any
+
+
+@compiled_select
+def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+    """With probability ε any learner, else one without an estimate, else argmax r̂; ties uniformly at random."""
+    for k in range(num_learners):
+        estimate = state[num_learners + k]
+        state[k] = np.inf if math.isnan(estimate) else estimate
+    return pick_largest_or_any(parameters[0], state[:num_learners], stream)
+
+
+@dataclass(frozen=True, config=SELECTOR_CONFIG)
+class EpsilonGreedy:
+    """With probability ε any learner, else the one whose latest performance is best; those not yet selected first.
+
+    Attributes
+    ----------
+    epsilon:
+        ε, the share of uniform selections; never decayed.
+    """
+
+    epsilon: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1
+
+    select = staticmethod(_select)
+    observe = staticmethod(observe)
+
+    def parameters(self) -> Row:
+        """``float64[1]``: ε."""
+        return np.array([self.epsilon])
+
+    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
+        """``float64[3 · learners]``."""
+        return header(num_learners)
