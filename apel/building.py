@@ -189,4 +189,6 @@ def _describe(name: str, error: Any) -> str:
     place = ".".join(str(part) for part in error["loc"])
     if error["type"] == "unexpected_keyword_argument":
         return f"{name}: found the option {place!r}, which it does not have"
+    if error["type"] == "value_error":  # our own words
+        return f"{name}: {place}{': ' if place else ''}{error['msg'].removeprefix('Value error, ')}"
     return f"{name}: {place}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"

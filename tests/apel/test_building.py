@@ -51,13 +51,15 @@ def test_selector_is_made_with_its_options() -> None:
 @pytest.mark.parametrize(
     ("config", "parts"),
     [
-        (SelectorConfig("apell"), ["found the selector 'apell'", "['apel', 'fixed', 'ssbas', 'uniform']"]),
+        (SelectorConfig("apell"), ["found the selector 'apell'", "'apel', 'apel_margin', "]),
         (SelectorConfig("apel", {"nu": 0.1}), ["apel: found the option 'nu', which it does not have"]),
         (SelectorConfig("apel", {"decay": 1.0}), ["apel: decay: found 1.0", "less than 1"]),
         (SelectorConfig("apel", {"decay": -1}), ["apel: decay: found -1", "greater than or equal to 0"]),
         (SelectorConfig("apel", {"decay": float("nan")}), ["apel: decay: found nan", "finite"]),
         (SelectorConfig("apel", {"prior": [2.0, 0.5]}), ["apel: prior.1: found 0.5"]),
         (SelectorConfig("ssbas", {"exploration": 0}), ["ssbas: exploration: found 0", "greater than 0"]),
+        (SelectorConfig("ssbas", {"bounds": [0, 1]}), ["ssbas: bounds: found (0.0, 1.0) with normalise: none"]),
+        (SelectorConfig("exp3", {"bounds": [1, 1]}), ["exp3: bounds: found (1.0, 1.0), expected (low, high)"]),
         (SelectorConfig("fixed", {"learner": -1}), ["fixed: learner: found -1"]),
         (SelectorConfig("apel", {"decay": 1.0, "nu": 1}), ["decay: found 1.0", "the option 'nu'"]),
         (SelectorConfig("math:tao"), ["module 'math' has no 'tao'"]),

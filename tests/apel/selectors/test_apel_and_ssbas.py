@@ -15,38 +15,10 @@ from hypothesis import strategies as st
 
 from apel.selection import Selector, header
 from apel.selectors import Apel, Fixed, Ssbas, Uniform
-from apel.streams import stream_of_seed
 from tests.apel.plain_selector import PlainSelector
+from tests.apel.selectors.clock import Clock
 
 SHIPPED = [Apel(), Ssbas(), Uniform(), Fixed()]
-
-
-class Clock:
-    """One run's selector: its state and stream."""
-
-    def __init__(self, selector: Selector, num_learners: int, num_episodes: int = 1000, seed: int = 0) -> None:
-        self.selector, self.num_learners = selector, num_learners
-        self.state = selector.initial_state(num_learners, num_episodes)
-        self.stream = stream_of_seed(seed)
-        self._parameters = selector.parameters()
-
-    def select(self) -> int:
-        return self.selector.select(self._parameters, self.num_learners, self.state, self.stream)
-
-    def observe(self, selected: int, performance: float) -> None:
-        self.selector.observe(self._parameters, self.num_learners, self.state, selected, performance)
-
-    @property
-    def probability(self) -> list[float]:
-        return self.state[: self.num_learners].tolist()
-
-    @property
-    def estimate(self) -> list[float]:
-        return self.state[self.num_learners : 2 * self.num_learners].tolist()
-
-    @property
-    def concentration(self) -> list[float]:
-        return self.state[2 * self.num_learners : 3 * self.num_learners].tolist()
 
 
 # All selectors

@@ -1,0 +1,62 @@
+"""One run of a selector, and what tests feed it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import pytest
+
+from apel.selection import Selector
+from apel.streams import stream_of_seed
+
+
+class Clock:
+    """One run's selector: its state and stream."""
+
+    def __init__(self, selector: Selector, num_learners: int, num_episodes: int = 1000, seed: int = 0) -> None:
+        self.selector, self.num_learners = selector, num_learners
+        self.state = selector.initial_state(num_learners, num_episodes)
+        self.stream = stream_of_seed(seed)
+        self._parameters = selector.parameters()
+
+    def select(self) -> int:
+        return self.selector.select(self._parameters, self.num_learners, self.state, self.stream)
+
+    def observe(self, selected: int, performance: float) -> None:
+        self.selector.observe(self._parameters, self.num_learners, self.state, selected, performance)
+
+    @property
+    def probability(self) -> list[float]:
+        return self.state[: self.num_learners].tolist()
+
+    @property
+    def estimate(self) -> list[float]:
+        return self.state[self.num_learners : 2 * self.num_learners].tolist()
+
+    @property
+    def concentration(self) -> list[float]:
+        return self.state[2 * self.num_learners : 3 * self.num_learners].tolist()
+
+    @property
+    def rest(self) -> list[float]:
+        """The state behind the common blocks."""
+        return self.state[3 * self.num_learners :].tolist()
+
+
+Trace = Iterable[tuple[Sequence[float], int, float]]
+"""Probabilities before the episode, selected, performance."""
+
+
+def check_trace(clock: Clock, trace: Trace) -> None:
+    """The probabilities before each episode are as expected, whichever learner the stream then draws."""
+    for episode, (expected, selected, performance) in enumerate(trace):
+        drawn = clock.select()
+        assert clock.probability == pytest.approx(expected, abs=1e-9), episode
+        assert clock.probability[drawn] > 0.0
+        clock.observe(selected, performance)
+
+
+def bits(values: Iterable[float]) -> list[float]:
+    """Values to be compared one by one, NaN included."""
+    return [-math.inf if math.isnan(value) else value for value in values]
