@@ -1,4 +1,4 @@
-"""Agent57's meta-controller: a sliding-window UCB without the logarithm, and ε-greedy (Badia et al. 2020, §C).
+"""Agent57's meta-controller: a sliding-window UCB without the logarithm, and ε-greedy (Badia et al. 2020).
 
 Source: arXiv 2003.13350, after ``deep_rl_zoo/bandit.py`` (michaelnny/deep_rl_zoo), whose reward is the undiscounted
 return of the episode as it is. Unlike there, ties are broken uniformly at random instead of by position.

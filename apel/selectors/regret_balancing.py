@@ -13,7 +13,7 @@ Sources: of both papers only the opening pages could be consulted, not the boxes
 those of 2306.02869 as they are commonly stated; structure and defaults (d_min = 1, c = 1, δ = 0.01) were checked
 against the authors' class ``BalancingHyperparamDoublingDataDriven`` (github.com/pacchiano/modelselection). That class
 differs: its bonus has ln((n + 1)/δ), and it divides sums by √n where the rules have averages. One more difference is
-ours: ln n is replaced by max(ln n, 1), since the bonus has no value at n = 1.
+ours: ln n is replaced by max(ln n, 1), since the bonus has no value at n = 1. Means are normalised when they are read.
 """
 
 from __future__ import annotations

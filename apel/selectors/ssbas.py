@@ -76,7 +76,7 @@ class Ssbas:
     Attributes
     ----------
     exploration:
-        ξ > 0, the weight of the confidence bonus; 4.921 in the dissertation (§4.3.7).
+        ξ > 0, the weight of the confidence bonus; 4.921 in the dissertation (§4.3.6).
     window:
         ``half`` for the last ⌊τ/2⌋ selections, or a number of selections.
     normalise:

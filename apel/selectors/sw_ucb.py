@@ -1,4 +1,4 @@
-"""SW-UCB: UCB over a window of constant length (Garivier & Moulines 2011, arXiv 0805.3415, §3.2).
+"""SW-UCB: UCB over a window of constant length (Garivier & Moulines 2011, arXiv 0805.3415).
 
 The rule is that of `apel.selectors.ssbas` with the last τ selections in place of the last half; so are its functions.
 """

@@ -91,7 +91,7 @@ class Ucb1:
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
 class DUcb:
-    """UCB over counts and sums that are discounted by γ per episode (D-UCB; arXiv 0805.3415, §3.1).
+    """UCB over counts and sums that are discounted by γ per episode (D-UCB; arXiv 0805.3415).
 
     The paper writes the bonus as 2 B √(ξ' ln n / Nₖ), B = 1 for rewards in [0, 1]; here it is √(ξ ln n / Nₖ), with
     ξ = 4 ξ'. With γ = 1 it is UCB1 of the same ξ, bit for bit.
