@@ -130,20 +130,22 @@ def aligned(runs: pa.Table, column: str, points: Sequence[tuple[str, str]]) -> F
     Raises
     ------
     ValueError
-        If a point has no runs, the points have none in common, or a value is null.
+        If a point has no runs or one of them twice, the points have none in common, or a value is null.
     """
     frame = runs.select(["arm", "sweep", "run_index", column]).to_pandas()
-    table = frame.set_index(["arm", "sweep", "run_index"])[column].astype(np.float64)
-    found = set(zip(frame["arm"], frame["sweep"], strict=True))
+    found = {point: group.set_index("run_index")[column] for point, group in frame.groupby(["arm", "sweep"])}
     if missing := [point for point in points if point not in found]:
         msg = f"found no runs of {missing}, expected arms and sweep points among {sorted(found)}"
         raise ValueError(msg)
-    columns = [table.loc[point] for point in points]
+    columns = [found[point] for point in points]
+    if not all(values.index.is_unique for values in columns):
+        msg = "found a run index twice in an arm and sweep point, expected the runs of one experiment"
+        raise ValueError(msg)
     common = sorted(set.intersection(*(set(values.index) for values in columns)))
     if not common:
         msg = f"found no run index that all of {list(points)} have, expected the same runs of each"
         raise ValueError(msg)
-    values: NDArray[np.float64] = np.stack([part.loc[common].to_numpy() for part in columns], axis=1)
+    values: NDArray[np.float64] = np.stack([part.loc[common].to_numpy(np.float64) for part in columns], axis=1)
     require_finite(values)
     return values
 

@@ -59,6 +59,7 @@ def test_interval_is_that_of_the_normal_approximation() -> None:
     assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.1 * error * 1.5)
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0, 5000), min_size=2, max_size=30))
 def test_interval_holds_the_mean(values: list[float]) -> None:
     """The interval lies within the values and around their mean."""

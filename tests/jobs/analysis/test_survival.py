@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jobs.analysis.survival import median_train_time, share_solved
@@ -52,6 +52,7 @@ def test_run_solved_at_zero() -> None:
     assert (curve.episodes.tolist(), curve.share.tolist()) == ([0, 4], [0.5, 1])
 
 
+@settings(deadline=None)
 @given(times)
 def test_without_censoring_it_is_the_empirical_distribution(values: list[int]) -> None:
     """The share solved by t is the share of train times ≤ t."""
@@ -62,6 +63,7 @@ def test_without_censoring_it_is_the_empirical_distribution(values: list[int]) -
     np.testing.assert_allclose(curve.at(episodes).value, expected, rtol=0, atol=1e-12)
 
 
+@settings(deadline=None)
 @given(watched)
 def test_share_never_falls_and_lies_in_its_band(runs: list[tuple[int, bool]]) -> None:
     """The share rises within [0, 1]; its band holds it; it is no smaller than the share known to be solved."""
@@ -75,6 +77,7 @@ def test_share_never_falls_and_lies_in_its_band(runs: list[tuple[int, bool]]) ->
     assert np.all(curve.share >= counted - 1e-12)
 
 
+@settings(deadline=None)
 @given(watched)
 def test_median_lies_in_its_interval(runs: list[tuple[int, bool]]) -> None:
     """Also where its upper end, or all of it, was not seen."""
