@@ -117,23 +117,14 @@ def bootstrap_of_runs(
     Estimate(value=10.0, low=10.0, high=10.0)
     """
     require_finite(values)
-
-    def of_resamples(index: NDArray[np.int64], axis: int) -> Floats:  # noqa: ARG001
-        found = np.asarray(statistic(values[index]))
-        if found.shape != index.shape[:-1]:
-            msg = f"found a statistic of shape {found.shape}, expected one number for each of {len(index)} resamples"
-            raise ValueError(msg)
-        return found
-
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(statistic(values))
-        drawn = np.full(1, value)
-        if len(values) > 1:
-            # The runs' numbers are resampled in place of their rows, so that any statistic sees whole rows.
-            drawn = _bootstrap(
-                np.arange(len(values)), of_resamples, values.size, num_resamples, seed
-            ).bootstrap_distribution
-    return _estimate(value, drawn)
+        if len(values) < 2:
+            return _estimate(value, np.full(1, value))
+        # The runs' numbers are resampled in place of their rows, so that any statistic sees whole rows.
+        numbers, of_numbers = np.arange(len(values)), _of_numbers(values, statistic)
+        resampled = _bootstrap(numbers, of_numbers, values.size, num_resamples, seed)
+    return _estimate(value, resampled.bootstrap_distribution)
 
 
 def bootstrap_of_means(
@@ -180,6 +171,19 @@ def require_finite(values: Floats) -> None:
     if num_bad:
         msg = f"found {num_bad} of {np.size(values)} values that are not finite, expected a number for every run"
         raise ValueError(msg)
+
+
+def _of_numbers(values: Floats, statistic: Callable[[Floats], Floats]) -> Callable[[NDArray[np.int64], int], Floats]:
+    """The statistic as a function of which runs are drawn, ``int64[resamples, runs]``."""
+
+    def of_numbers(drawn: NDArray[np.int64], axis: int) -> Floats:  # noqa: ARG001
+        found = np.asarray(statistic(values[drawn]))
+        if found.shape != drawn.shape[:-1]:
+            msg = f"found a statistic of shape {found.shape}, expected one number for each of {len(drawn)} resamples"
+            raise ValueError(msg)
+        return found
+
+    return of_numbers
 
 
 def _estimate(value: float, drawn: Floats) -> Estimate[float]:
