@@ -16,10 +16,12 @@ from rich.table import Table
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
 from jobs.analysis.report import write_report
+from jobs.design import Request, advice
+from jobs.design import design as design_decay
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment, load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
-from jobs.terminal import TerminalObserver, summary_table
+from jobs.terminal import TerminalObserver, design_table, summary_table
 from jobs.validation import check
 from jobs.yaml_source import SpecError
 
@@ -134,6 +136,24 @@ def figures(results: Annotated[str, typer.Argument(help="The folder of an experi
     store = ResultStore.at(results)
     for path in (*_draw(store, store.experiment()), write_report(store)):
         _out.print(path, highlight=False)
+
+
+@app.command()
+def design(
+    adapt_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted adaptation time.")] = None,
+    rise_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted rise time, to 90 %.")] = None,
+    explore: Annotated[float | None, typer.Option(metavar="P", help="Wanted share of any but the best.")] = None,
+    performance: Annotated[float | None, typer.Option(metavar="G", help="Wanted mean return; needs returns.")] = None,
+    best_return: Annotated[float | None, typer.Option(help="Return of the best learner.")] = None,
+    other_return: Annotated[list[float] | None, typer.Option(help="Of each other one, or one for all others.")] = None,
+    learners: Annotated[int, typer.Option(min=2, help="Number of learners.")] = 2,
+) -> None:
+    """Find APEL's decay ν for one of four criteria, and what to expect of it."""
+    others = tuple(other_return or ())
+    rows = design_decay(Request(adapt_within, rise_within, explore, performance, best_return, others, learners))
+    _out.print(design_table(rows))
+    for line in advice(rows, learners):
+        _out.print(line, highlight=False)
 
 
 def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
