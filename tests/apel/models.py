@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from apel.configs import EnvironmentConfig
+from apel.environments import Maze, make_world
 from apel.finite import FiniteModel
 
 
@@ -40,3 +42,16 @@ def lottery(max_steps: int = 20, num_distractors: int = 1) -> FiniteModel:
         feature_sizes=(3, *[5] * num_distractors),
         num_distractors=num_distractors,
     )
+
+
+def mazes() -> list[FiniteModel]:
+    """Three small mazes with a distractor, of which two are one object."""
+    one, two = (Maze(maze_seed=seed, size=5, distractors=(4,), max_steps=80).finite_model for seed in (1, 2))
+    return [one, two, one]
+
+
+def frozen_lakes() -> list[FiniteModel]:
+    """Three runs of FrozenLake."""
+    model = make_world(EnvironmentConfig("FrozenLake-v1"), 0).model
+    assert model is not None
+    return [model] * 3

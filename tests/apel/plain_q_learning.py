@@ -1,4 +1,5 @@
-"""Q-learning on a finite environment as one plain loop (Algorithm 2, Eq. 2.8): the oracle of the compiled bank.
+"""Q-learning and Dyna-Q on a finite environment as one plain loop (Algorithm 2, Eq. 2.8): the oracle of the compiled
+bank.
 
 Python numbers, lists and dictionaries only; of the package it reads nothing but the arrays of a `FiniteModel`.
 """
@@ -12,7 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from apel.finite import FiniteModel
-from tests.apel.splitmix import SplitMix64, episode_seed
+from tests.apel.splitmix import SplitMix64, episode_seed, evaluation_seed
+
+Key = tuple[int, ...]
 
 
 @dataclass
@@ -34,10 +37,110 @@ class PlainEpisode:
         return total
 
 
-class PlainQLearning:
-    """One run: a model, the environment's key, and a learner that sees the features at the positions ``visible``.
+class PlainWorld:
+    """One run's environment: a model, and the key of its episodes."""
 
-    ``exploration`` is ε as a function of the episode's index and of the number of steps observed so far.
+    def __init__(self, model: FiniteModel, key: int) -> None:
+        self._next = model.next_cell.tolist()
+        self._cumulative = model.cumulative.tolist()
+        self._reward = model.reward.tolist()
+        self._terminal = model.terminal.tolist()
+        self._start = list(zip(model.start_cell.tolist(), model.start_cumulative.tolist(), strict=True))
+        self._num_distractor_values = math.prod(model.feature_sizes) // len(self._next)
+        self._key = key
+        self.features_of = list(itertools.product(*(range(size) for size in model.feature_sizes)))
+        self.max_steps = model.max_steps
+        self.num_actions = len(self._next[0])
+
+    def reset(self, episode: int, *, evaluation: bool = False) -> int:
+        """The first state of an episode, or of the evaluation after it."""
+        seed = evaluation_seed(self._key, episode) if evaluation else episode_seed(self._key, episode)
+        self._generator = SplitMix64.of_seed(seed)
+        self._cell = self._start[0][0]
+        if len(self._start) > 1:
+            u = self._generator.uniform()
+            self._cell = next(one for one, cumulative in self._start if u < cumulative)
+        return self._state()
+
+    def step(self, action: int) -> tuple[int, float, bool]:
+        """Next state, reward, and whether the episode terminated."""
+        outcomes, outcome = self._cumulative[self._cell][action], 0
+        if len(outcomes) > 1:
+            u = self._generator.uniform()
+            outcome = next(k for k, cumulative in enumerate(outcomes) if u < cumulative)
+        reward = self._reward[self._cell][action][outcome]
+        terminated = self._terminal[self._cell][action][outcome]
+        self._cell = self._next[self._cell][action][outcome]
+        return self._state(), reward, terminated
+
+    def _state(self) -> int:
+        distractor = self._generator.integer(self._num_distractor_values) if self._num_distractor_values > 1 else 0
+        return self._cell * self._num_distractor_values + distractor
+
+
+class PlainLearner:
+    """The loop of one run; what acts and learns is for subclasses to say."""
+
+    def __init__(self, model: FiniteModel, environment_key: int) -> None:
+        self.world = PlainWorld(model, environment_key)
+
+    def begin(self, episode: int) -> None:
+        """Before the first step of an episode, whoever plays it."""
+
+    def act(self, state: int, episode: int) -> tuple[int, list[float]]:
+        """An action, and the probabilities of all."""
+        raise NotImplementedError
+
+    def learn(self, state: int, action: int, reward: float, successor: int, terminated: bool) -> None:
+        """Learn from one step."""
+        raise NotImplementedError
+
+    def judged(self, state: int) -> list[float]:
+        """What it thinks of each action when it does not explore."""
+        raise NotImplementedError
+
+    def play(self, episode: int) -> PlainEpisode:
+        """Act and learn for one episode."""
+        self.begin(episode)
+        state, played = self.world.reset(episode), PlainEpisode()
+        while not played.terminated and len(played.actions) < self.world.max_steps:
+            action, probability = self.act(state, episode)
+            successor, reward, played.terminated = self.world.step(action)
+            self.learn(state, action, reward, successor, played.terminated)
+            played.states.append(state)
+            played.actions.append(action)
+            played.rewards.append(reward)
+            played.probabilities.append(probability)
+            state = successor
+        played.states.append(state)
+        return played
+
+    def learn_episode(self, played: PlainEpisode, episode: int) -> None:
+        """Learn from an episode that another learner played."""
+        self.begin(episode)
+        last = len(played.actions) - 1
+        for t, action in enumerate(played.actions):
+            self.learn(
+                played.states[t], action, played.rewards[t], played.states[t + 1], played.terminated and t == last
+            )
+
+    def evaluate(self, episode: int) -> tuple[int, float]:
+        """Length and return of another episode, with the first of the best actions, and without learning."""
+        state, length, total, terminated = self.world.reset(episode, evaluation=True), 0, 0.0, False
+        while not terminated and length < self.world.max_steps:
+            values = self.judged(state)
+            state, reward, terminated = self.world.step(values.index(max(values)))
+            length += 1
+            total += reward
+        return length, total
+
+
+class PlainQLearning(PlainLearner):
+    """Q-learning that sees the features at the positions ``visible``.
+
+    ``exploration`` is ε as a function of the episode's index and of the number of steps observed so far. With
+    ``planning_steps`` it is Dyna-Q; with ``freezes`` it acts in the episodes 2^β − 1 … 2^(β+1) − 2 on the table that it
+    had before the first of them.
     """
 
     def __init__(
@@ -49,82 +152,71 @@ class PlainQLearning:
         discount: float,
         exploration: Callable[[int, int], float],
         visible: list[int],
+        *,
+        takes_first: bool = False,
+        planning_steps: int = 0,
+        freezes: bool = False,
     ) -> None:
-        self._next = model.next_cell.tolist()
-        self._cumulative = model.cumulative.tolist()
-        self._reward = model.reward.tolist()
-        self._terminal = model.terminal.tolist()
-        self._start = list(zip(model.start_cell.tolist(), model.start_cumulative.tolist(), strict=True))
-        self._max_steps = model.max_steps
-        self._num_actions = len(self._next[0])
-        self._values_of = list(itertools.product(*(range(size) for size in model.feature_sizes)))
-        self._num_distractor_values = len(self._values_of) // len(self._next)
-        self._key = environment_key
+        super().__init__(model, environment_key)
         self._generator = SplitMix64.of_seed(seed)
         self._learning_rate, self._discount, self._exploration = learning_rate, discount, exploration
-        self._visible = visible
+        self._visible, self._takes_first, self._freezes = visible, takes_first, freezes
         self._steps = 0
-        self.table: defaultdict[tuple[int, ...], list[float]] = defaultdict(lambda: [0.0] * self._num_actions)
+        self.table: defaultdict[Key, list[float]] = defaultdict(self._zeros)
+        self._acting = self.table
+        self._planning_steps = planning_steps
+        self._model: dict[tuple[Key, int], tuple[float, Key | None]] = {}
 
     def values(self, state: int) -> list[float]:
         """Q(s, ·) of a state of the environment."""
-        return self.table[tuple(self._values_of[state][i] for i in self._visible)]
+        return self.table[self._key_of(state)]
 
-    def play(self, episode: int) -> PlainEpisode:
-        """Act and learn for one episode."""
-        generator, played = SplitMix64.of_seed(episode_seed(self._key, episode)), PlainEpisode()
-        cell = self._start[0][0]
-        if len(self._start) > 1:
-            u = generator.uniform()
-            cell = next(one for one, cumulative in self._start if u < cumulative)
-        state = self._state(cell, generator)
-        while not played.terminated and len(played.actions) < self._max_steps:
-            action, probability = self._act(state, self._exploration(episode, self._steps))
-            outcomes, outcome = self._cumulative[cell][action], 0
-            if len(outcomes) > 1:
-                u = generator.uniform()
-                outcome = next(k for k, cumulative in enumerate(outcomes) if u < cumulative)
-            reward = self._reward[cell][action][outcome]
-            played.terminated = self._terminal[cell][action][outcome]
-            cell = self._next[cell][action][outcome]
-            successor = self._state(cell, generator)
-            self.learn(state, action, reward, successor, played.terminated)
-            played.states.append(state)
-            played.actions.append(action)
-            played.rewards.append(reward)
-            played.probabilities.append(probability)
-            state = successor
-        played.states.append(state)
-        return played
+    def judged(self, state: int) -> list[float]:
+        """Q(s, ·), of the frozen table where there is one."""
+        return self._acting[self._key_of(state)]
 
-    def learn(self, state: int, action: int, reward: float, successor: int, terminated: bool) -> None:
-        """Q(s, a) ← Q(s, a) + α (r + γ max Q(s′, ·) − Q(s, a))."""
-        following = 0.0 if terminated else max(self.values(successor))
-        values = self.values(state)
-        values[action] += self._learning_rate * (reward + self._discount * following - values[action])
-        self._steps += 1
+    def begin(self, episode: int) -> None:
+        """Freeze where episode + 1 is a power of two."""
+        if self._freezes and math.log2(episode + 1).is_integer():
+            self._acting = defaultdict(self._zeros, {key: list(values) for key, values in self.table.items()})
 
-    def learn_episode(self, played: PlainEpisode) -> None:
-        """Learn from an episode that another learner played."""
-        last = len(played.actions) - 1
-        for t, action in enumerate(played.actions):
-            self.learn(
-                played.states[t], action, played.rewards[t], played.states[t + 1], played.terminated and t == last
-            )
-
-    def _state(self, cell: int, generator: SplitMix64) -> int:
-        distractor = generator.integer(self._num_distractor_values) if self._num_distractor_values > 1 else 0
-        return cell * self._num_distractor_values + distractor
-
-    def _act(self, state: int, exploration: float) -> tuple[int, list[float]]:
-        values = self.values(state)
+    def act(self, state: int, episode: int) -> tuple[int, list[float]]:
+        """ε-greedy."""
+        values, exploration = self.judged(state), self._exploration(episode, self._steps)
+        num_actions = len(values)
         greedy = [action for action, value in enumerate(values) if value == max(values)]
-        probability = [exploration / self._num_actions] * self._num_actions
+        if self._takes_first:
+            greedy = greedy[:1]
+        probability = [exploration / num_actions] * num_actions
         for action in greedy:
             probability[action] += (1.0 - exploration) / len(greedy)
         if self._generator.uniform() < exploration:
-            return self._generator.integer(self._num_actions), probability
+            return self._generator.integer(num_actions), probability
         return greedy[self._generator.integer(len(greedy)) if len(greedy) > 1 else 0], probability
+
+    def learn(self, state: int, action: int, reward: float, successor: int, terminated: bool) -> None:
+        """One update from what happened; then as many as are planned from what is remembered."""
+        key, next_key = self._key_of(state), None if terminated else self._key_of(successor)
+        self._update(key, action, reward, next_key)
+        self._steps += 1
+        if self._planning_steps:
+            self._model[key, action] = reward, next_key
+            pairs = list(self._model)  # in the order in which they were first seen
+            for _ in range(self._planning_steps):
+                drawn = pairs[self._generator.integer(len(pairs))]
+                self._update(*drawn, *self._model[drawn])
+
+    def _update(self, key: Key, action: int, reward: float, next_key: Key | None) -> None:
+        """Q(s, a) ← Q(s, a) + α (r + γ max Q(s′, ·) − Q(s, a))."""
+        following = 0.0 if next_key is None else max(self.table[next_key])
+        values = self.table[key]
+        values[action] += self._learning_rate * (reward + self._discount * following - values[action])
+
+    def _key_of(self, state: int) -> Key:
+        return tuple(self.world.features_of[state][i] for i in self._visible)
+
+    def _zeros(self) -> list[float]:
+        return [0.0] * self.world.num_actions
 
 
 def constant(rate: float) -> Callable[[int, int], float]:

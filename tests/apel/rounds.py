@@ -38,11 +38,22 @@ def make_banks(
     *,
     performance: str = "return",
     with_probability: bool = False,
+    freezes: bool = False,
+    evaluates: bool = False,
 ) -> list[LearnerBank]:
     """One bank per learner, with the same configuration in every run."""
     measure = make_performance(performance)
     return [
-        make_bank([config] * len(worlds), worlds, run_seeds, i, measure, with_probability=with_probability)
+        make_bank(
+            [config] * len(worlds),
+            worlds,
+            run_seeds,
+            i,
+            measure,
+            with_probability=with_probability,
+            freezes=freezes,
+            evaluates=evaluates,
+        )
         for i, config in enumerate(learners)
     ]
 

@@ -27,6 +27,11 @@ def episode_seed(key: int, episode: int) -> int:
     return mix64((key + (episode + 1) * GOLDEN_GAMMA) & MASK64) & (2**63 - 1)
 
 
+def evaluation_seed(key: int, episode: int) -> int:
+    """Seed of the greedy evaluation after an episode: the same with a key that is mixed once more."""
+    return episode_seed(mix64(key ^ GOLDEN_GAMMA), episode)
+
+
 class SplitMix64:
     """A generator: ``state`` grows by ``gamma``, and every output is the finalised state."""
 

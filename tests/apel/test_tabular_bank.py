@@ -16,7 +16,7 @@ from apel.representations import Representation, state_rows
 from apel.selection import Selector
 from apel.selectors import Apel, Fixed, Ssbas
 from apel.trajectory import Trajectory
-from tests.apel.models import lottery
+from tests.apel.models import frozen_lakes, lottery, mazes
 from tests.apel.plain_q_learning import PlainEpisode, PlainQLearning, constant, decaying, switched
 from tests.apel.plain_selector import PlainSelector
 from tests.apel.rounds import assert_same_rows, make_banks, play_rounds
@@ -24,19 +24,6 @@ from tests.apel.rounds import assert_same_rows, make_banks, play_rounds
 KEYS = [0x123456789ABCDEF0, 2**64 - 5, 17]
 SEEDS = [99, 2**64 - 1, 4242]
 UNLIMITED = StreakLimit(10**6, 10**5)
-
-
-def mazes() -> list[FiniteModel]:
-    """Three small mazes with a distractor, of which two are one object."""
-    one, two = (Maze(maze_seed=seed, size=5, distractors=(4,), max_steps=80).finite_model for seed in (1, 2))
-    return [one, two, one]
-
-
-def frozen_lakes() -> list[FiniteModel]:
-    """Three runs of FrozenLake."""
-    model = make_world(EnvironmentConfig("FrozenLake-v1"), 0).model
-    assert model is not None
-    return [model] * 3
 
 
 # What each case plays: models, options, the same exploration for the plain loop, representation of each run, episodes.
@@ -176,14 +163,14 @@ def test_learning_from_a_batch_equals_plain_updates(case: str) -> None:
     assert batch is not None
     bank, plain = make_bank(models, options, representations), make_plain(models, options, exploration, representations)
     assert bank.learn(batch) == ()
-    for run, _, trajectory in batch.trajectories():
+    for run, episode, trajectory in batch.trajectories():
         played = PlainEpisode(
             trajectory.observation.tolist(),
             trajectory.action.tolist(),
             trajectory.reward.tolist(),
             terminated=trajectory.terminated,
         )
-        plain[run].learn_episode(played)
+        plain[run].learn_episode(played, episode)
     assert_same_tables(bank, plain, models, representations)
     # Its own clocks have moved too: it goes on at episode 20 with an ε of so many steps.
     book = alone(30)

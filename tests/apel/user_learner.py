@@ -60,6 +60,43 @@ class AverageReward:
         self._random.setstate((version, tuple(words), gauss))
 
 
+class Opinionated(AverageReward):
+    """One that says what it thinks of each action, and whose policy can be frozen: it may vote, and be evaluated."""
+
+    def __init__(self, observation_space: Any, action_space: Any, seed: int, explore_every: int = 3) -> None:
+        super().__init__(observation_space, action_space, seed, explore_every)
+        self._frozen: list[float] | None = None
+
+    def act(self, observation: Any) -> tuple[int, None]:
+        self._acted += 1
+        if self._acted % self._explore_every == 0:
+            return self._random.randrange(self._num_actions), None
+        return int(np.argmax(self.action_values(observation))), None
+
+    def action_values(self, observation: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.array(self._averages() if self._frozen is None else self._frozen)
+
+    def freeze(self) -> None:
+        self._frozen = self._averages()
+
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "frozen": self._frozen}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self._frozen = state["frozen"]
+
+    def _averages(self) -> list[float]:
+        return [total / max(count, 1) for total, count in zip(self._sum, self._count, strict=True)]
+
+
+class Unfreezable(AverageReward):
+    """Says what it thinks, always of today."""
+
+    def action_values(self, observation: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.array(self._sum)
+
+
 class Recorder(AverageReward):
     """Keeps what it was given, to be looked at."""
 
