@@ -12,8 +12,9 @@ import pyarrow as pa
 def with_hindsight(runs: pa.Table, hindsight: Mapping[str, Sequence[str]]) -> pa.Table:
     """Append one row per run for each arm of ``hindsight``: the best row among those of the arms that it lists.
 
-    Best is the shortest train time, at equal ones the highest steady state, then the first arm. A run counts where all
-    of the arms have finished it; the column ``chosen`` names the arm that the row was taken from.
+    Best is the shortest train time, one that is censored after all others; at equal ones the highest steady state, then
+    the first arm. A run counts where all of the arms have finished it; the column ``chosen`` names the arm that the row
+    was taken from.
     """
     if not hindsight:
         return runs
@@ -25,14 +26,17 @@ def with_hindsight(runs: pa.Table, hindsight: Mapping[str, Sequence[str]]) -> pa
 
 def _best(frame: pd.DataFrame, arm: str, sources: Sequence[str]) -> pd.DataFrame:
     rows = frame[frame["arm"].isin(sources)]
+    sweeps = {label: place for place, label in enumerate(dict.fromkeys(rows["sweep"]))}
     order = rows.assign(
+        _censored=rows["censored"].astype(float).fillna(0.0),
         _time=rows["train_time"].astype(float).fillna(0.0),
         _return=-rows["steady_state"].astype(float).fillna(0.0),
+        _sweep=rows["sweep"].map(sweeps).astype(np.int64),
         _place=rows["arm"].map({source: place for place, source in enumerate(sources)}).astype(np.int64),
     )
     key = ["sweep", "run_index"]
     complete = order.groupby(key)["_place"].transform("nunique") == len(set(sources))
-    best = order[complete].sort_values(["_time", "_return", "_place"]).groupby(key, sort=False).head(1)
-    best = best.sort_index()
+    best = order[complete].sort_values(["_censored", "_time", "_return", "_place"]).groupby(key, sort=False).head(1)
+    best = best.sort_values(["_sweep", "run_index"])
     taken = best["arm"].astype(pd.ArrowDtype(pa.string()))
-    return best.assign(chosen=taken, arm=arm).drop(columns=["_time", "_return", "_place"])
+    return best.assign(chosen=taken, arm=arm).drop(columns=["_censored", "_time", "_return", "_sweep", "_place"])
