@@ -116,7 +116,7 @@ class ResultStore:
             raise StoreError(message)
         order = [(arm, point.label) for point, arm in arm_points(experiment, None)]
         place = {key: position for position, key in enumerate(order)}
-        table = pa.concat_tables(tables, promote_options="permissive")
+        table = _concatenated(tables)
         keys = zip(table["arm"].to_pylist(), table["sweep"].to_pylist(), strict=True)
         table = table.append_column("position", pa.array([place[key] for key in keys]))
         table = table.sort_by([("position", "ascending"), ("run_index", "ascending")]).drop_columns(["position"])
@@ -267,8 +267,41 @@ def _run_table(shard: Shard, runs: RunRows) -> pa.Table:
     swept = shard.arm.sweep_values
     extras = [{**info, **plan.variables, **swept} for info, plan in zip(runs.info, plans, strict=True)]
     for name in dict.fromkeys(name for extra in extras for name in extra if name not in _RUN_COLUMNS):
-        columns[name] = pa.array([_plain(extra.get(name)) for extra in extras])
+        columns[name] = _column([_plain(extra.get(name)) for extra in extras])
     return pa.table(columns)
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """A column of values of one type; of several types as text."""
+    try:
+        return pa.array(values)
+    except pa.ArrowException:
+        return _text(values)
+
+
+def _text(values: list[Any]) -> pa.Array:
+    return pa.array([v if v is None or isinstance(v, str) else json.dumps(v) for v in values], pa.string())
+
+
+def _concatenated(tables: Sequence[pa.Table]) -> pa.Table:
+    """All rows; a variable or an axis whose values are of several types is text in all of them."""
+    types: dict[str, set[pa.DataType]] = {}
+    for table in tables:
+        for field in table.schema:
+            types.setdefault(field.name, set()).add(field.type)
+    mixed = {name for name, found in types.items() if not _is_one_kind(found - {pa.null()})}
+    for name in mixed:
+        tables = [
+            table.set_column(table.column_names.index(name), name, _text(table[name].to_pylist()))
+            if name in table.column_names
+            else table
+            for table in tables
+        ]
+    return pa.concat_tables(tables, promote_options="permissive")
+
+
+def _is_one_kind(types: set[pa.DataType]) -> bool:
+    return len(types) < 2 or all(pa.types.is_integer(one) or pa.types.is_floating(one) for one in types)
 
 
 def _plain(value: Any) -> Any:

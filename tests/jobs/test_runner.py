@@ -112,6 +112,28 @@ def test_sweep_points_share_their_runs(small: Path, tmp_path: Path) -> None:
     assert not one["steps"].equals(other["steps"])
 
 
+@pytest.mark.parametrize("shard_size", [1, 100])
+@pytest.mark.parametrize(
+    ("overrides", "column", "expected"),
+    [
+        (
+            ["sweep={eps: {learners.Q_full.exploration: [0.1, {start: 0.9, end: 0.1, steps: 50}]}}"],
+            "eps",
+            {"0.1", '{"start": 0.9, "end": 0.1, "steps": 50}'},
+        ),
+        (["variables={dropped: [x, 1]}"], "dropped", {"x", "1"}),
+        (["sweep={nu: {arms.APEL.selector.decay: [0, 0.5]}}"], "nu", {0.0, 0.5}),
+    ],
+)
+def test_values_of_several_types(
+    small: Path, tmp_path: Path, overrides: list[str], column: str, expected: set[object], shard_size: int
+) -> None:
+    """A variable or an axis may take numbers and words or mappings: its column is text then, however shards are cut."""
+    few = ("episodes=5", *overrides)
+    folder = folder_of(run(small, tmp_path, *few, arms=("APEL",), shard_size=shard_size))
+    assert set(pd.read_parquet(folder / "runs.parquet")[column]) == expected
+
+
 def test_manifest(small: Path, tmp_path: Path) -> None:
     """The manifest holds what the results rest on; seeds are the golden ones."""
     folder = folder_of(run(small, tmp_path))
