@@ -61,7 +61,7 @@ def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tup
     axes, points = _axes(experiment), {}
     wanted = []
     for arm in experiment.arms if arms is None else [arm for arm in experiment.arms if arm in arms]:
-        concerned = [axis for axis in axes if _concerns(axis, arm, content)]
+        concerned = [axis for axis in axes if _concerns(axis, axes, arm, content)]
         for places in itertools.product(*(range(len(axis.settings)) for axis in concerned)):
             chosen = list(zip(concerned, places, strict=True))
             label = ", ".join(f"{axis.name}={axis.labels[place]}" for axis, place in chosen)
@@ -71,10 +71,18 @@ def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tup
     return wanted
 
 
-def _concerns(axis: _Axis, arm: str, content: dict[str, Any]) -> bool:
-    """Whether the values of an axis make any difference to an arm."""
-    versions = [_concerning(_changed(content, settings), arm) for settings in axis.settings]
-    return len(axis.settings) == 1 or any(version != versions[0] for version in versions)
+def _concerns(axis: _Axis, axes: Sequence[_Axis], arm: str, content: dict[str, Any]) -> bool:
+    """Whether the values of an axis make any difference to an arm, wherever it stands on the other axes."""
+    if len(axis.settings) == 1:
+        return True
+    for places in itertools.product(*(other.settings for other in axes if other is not axis)):
+        base = content
+        for settings in places:
+            base = _changed(base, settings)
+        # Values that are all alike to the arm make a difference too, where they are not those of the file.
+        if any(_concerning(_changed(base, settings), arm) != _concerning(base, arm) for settings in axis.settings):
+            return True
+    return False
 
 
 def _concerning(content: dict[str, Any], arm: str) -> dict[str, Any]:

@@ -160,14 +160,27 @@ class Experiment(_Model):
     @classmethod
     def _sweepable(cls, sweep: dict[str, Any]) -> dict[str, Any]:
         for axis, values in sweep.items():
-            for path in [axis] if isinstance(values, list) else set(values) - {LABEL}:
+            columns = {axis: values} if isinstance(values, list) else values
+            for path in set(columns) - {LABEL}:
                 if path.split(".")[0] in _NOT_SWEPT and not path.startswith("arms."):
                     message = f"found the path {path!r}, expected a field that may differ between sweep points"
                     raise ValueError(message)
-            if isinstance(values, dict) and len({len(column) for column in values.values()}) != 1:
-                message = f"{axis}: found {[len(column) for column in values.values()]} values, expected equally many"
+            lengths, labels = [len(column) for column in columns.values()], list(map(str, next(iter(columns.values()))))
+            if len(set(lengths)) != 1 or not lengths[0]:
+                message = f"{axis}: found {lengths} values, expected equally many, and at least one"
+                raise ValueError(message)
+            if len(set(labels)) != len(labels):
+                message = f"{axis}: found {labels} as labels, expected the values of its first path to differ"
                 raise ValueError(message)
         return sweep
+
+    @model_validator(mode="after")
+    def _enough_episodes(self) -> Experiment:
+        if (self.steady_state_episodes or 0) > self.episodes:
+            found = f"found {self.steady_state_episodes}, expected at most the {self.episodes} episodes of a run"
+            message = f"steady_state_episodes: {found}"
+            raise ValueError(message)
+        return self
 
     @model_validator(mode="after")
     def _known_names(self) -> Experiment:
@@ -196,11 +209,23 @@ class Experiment(_Model):
     def identity(self) -> str:
         """Twelve hexadecimal digits that change with everything that changes a row; the number of runs does not.
 
-        Fields at their defaults do not count, so that a field that is added later changes no identity.
+        Fields at their defaults do not count, so that a field that is added later changes no identity. The order of
+        fields counts only where it means something.
         """
         content = self.model_dump(mode="json", exclude=_NO_PART_OF_IDENTITY, exclude_defaults=True)
         content["format"] = _FORMAT
+        if orders := self._meaningful_orders():
+            content["order"] = orders
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    def _meaningful_orders(self) -> dict[str, list[str]]:
+        """Orders of names on which streams and labels depend, and which sorted keys would forget."""
+        orders = {"variables": list(self.variables), "sweep": list(self.sweep)}
+        orders |= {f"sweep.{axis}": list(paths) for axis, paths in self.sweep.items() if isinstance(paths, dict)}
+        orders |= {
+            f"arms.{arm}": list(spec.learners) for arm, spec in self.arms.items() if isinstance(spec.learners, dict)
+        }
+        return {place: names for place, names in orders.items() if len(names) > 1}
 
     def where(self, *place: str) -> str:
         """``file:line: field`` of one of its fields, as errors name it."""
@@ -333,7 +358,10 @@ def _describe(source: Source, error: Any) -> str:
     if error["type"] == "missing":
         return f"{where}: found nothing, expected this field to be given"
     if error["type"] in {"value_error", "assertion_error"}:
-        return f"{where}: {error['msg'].removeprefix('Value error, ')}"
+        message = error["msg"].removeprefix("Value error, ")
+        # What concerns several fields is found at the root: its message opens with the field to be changed.
+        where = where if path else source.where(message.partition(":")[0].split("."))
+        return f"{where}: {message}"
     return f"{where}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"
 
 

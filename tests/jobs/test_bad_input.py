@@ -69,9 +69,48 @@ BAD_FIELDS = {
     "criterion with both": ("criterion={measure: length, window: 5, below: 3, at_least: 2}", "expected exactly one"),
     "criterion of what is not reported": ("criterion.below.info=best", "found 'best', expected one of those"),
     "window of 0": ("criterion.window=0", "criterion.window: found 0"),
+    "window after the end": (
+        "criterion.after=71",
+        "criterion: found 80 episodes, expected at least 81: a window of 10 after episode 71",
+    ),
+    "negative switch": ("criterion.after=-1", "criterion.after: found -1"),
+    "evaluation": ("criterion.evaluation=often", "criterion.evaluation: found 'often'"),
+    "longer steady state than run": (
+        "steady_state_episodes=81",
+        "steady_state_episodes: found 81, expected at most the 80 episodes of a run",
+    ),
+    "no learners of a kind": ("arms.APEL.learners={Q_full: 0, Q_red: 1}", "arms.APEL.learners.Q_full: found 0"),
+    "counted learner unknown": ("arms.APEL.learners={Q_none: 2}", "arms.APEL.learners: found 'Q_none', expected one"),
+    "counted learners, no selector": ("arms.Q_full.learners={Q_full: 2}", "found 2 learners and no selector"),
+    "members of one that has none": (
+        "learners.Q_full.members=[Q_red]",
+        "learners.Q_full: q_learning: found the option 'members', which it does not have",
+    ),
+    "vote of nobody": ("learners.Q_full={type: voting}", "learners.Q_full: voting: expected members"),
+    "vote with a view": (
+        "learners.Q_full={type: voting, members: [Q_red], representation: {exclude: [x]}}",
+        "learners.Q_full: voting: expected members, each with a representation of its own",
+    ),
+    "no such vote": (
+        "learners.Q_full={type: voting, members: [Q_red], method: acclamation}",
+        "learners.Q_full: voting: method: found 'acclamation'",
+    ),
+    "hindsight of an unknown arm": ("hindsight={Best: [Q_full, UCB]}", "hindsight.Best: found 'UCB', expected one of"),
+    "hindsight of nobody": ("hindsight={Best: []}", "hindsight.Best: found []"),
+    "hindsight under a played name": ("hindsight={APEL: [Q_full]}", "hindsight.APEL: found the name of an arm that is"),
     "record": ("record=some", "record: found 'some', expected 'all', 'log' or 'none'"),
     "record every 0": ("record={every: 0}", "record.every: found 0"),
     "sweep over nothing": ("sweep={episodes: []}", "sweep.episodes: found []"),
+    "sweep over nothing, named": ("sweep={cap: {episodes: []}}", "sweep: cap: found [0] values, expected equally many"),
+    "sweep of unequal lists": (
+        "sweep={cap: {episodes: [5, 6], arms.APEL.selector.decay: [0.1]}}",
+        "sweep: cap: found [2, 1] values, expected equally many",
+    ),
+    "sweep of a value twice": ("sweep={episodes: [5, 6, 5]}", "expected the values of its first path to differ"),
+    "sweep with a label twice": (
+        "sweep={cap: {episodes: [5, 5], arms.APEL.selector.decay: [0.1, 0.2]}}",
+        "sweep: cap: found ['5', '5'] as labels, expected the values of its first path to differ",
+    ),
     "sweep of a bad value": ("sweep={episodes: [10, -1]}", "episodes: found -1"),
     "sweep of runs": ("sweep={runs: [1, 2]}", "expected a field that may differ between sweep points"),
     "path through a number": ("episodes.first=3", "expected a mapping"),
@@ -122,6 +161,49 @@ def test_line_of_an_error(small: Path, capsys: pytest.CaptureFixture[str]) -> No
     line = 1 + SMALL[: SMALL.index("criterion:")].count("\n")
     code, error = call(capsys, "validate", str(small), "--set", "criterion.window=-1")
     assert (code, error.split(": ")[1]) == (2, f"{small}:{line}")
+
+
+WITH_VOTES = SMALL.replace(
+    "arms:",
+    "  Vote: {type: voting, members: [Q_full]}\n  Council:\n    type: voting\n    members: [Q_full, Vote]\narms:",
+)
+AT_FIELDS = {
+    "member unknown": (
+        SMALL.replace("  Q_full: {type: q_learning}", "  Q_full:\n    type: voting\n    members: [Q_red, Q_none]"),
+        "    members: [Q_red, Q_none]",
+        "learners.Q_full.members: found 'Q_none', expected one of ['Q_full', 'Q_red']",
+    ),
+    "member nested": (
+        WITH_VOTES,
+        "    members: [Q_full, Vote]",
+        "learners.Council.members: found 'Vote', expected learners without members",
+    ),
+    "member itself": (
+        SMALL.replace("arms:", "  Vote: {type: voting, members: [Vote]}\narms:"),
+        "  Vote: {type",
+        "learners.Vote.members: found 'Vote', expected learners without members",
+    ),
+    "arm unknown": (SMALL + "hindsight:\n  Best: [UCB]\n", "  Best: [UCB]", "hindsight.Best: found 'UCB'"),
+    "steady state": (
+        SMALL + "steady_state_episodes: 81\n",
+        "steady_state_episodes: 81",
+        "steady_state_episodes: found 81",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AT_FIELDS)
+def test_line_of_a_field_that_does_not_fit_the_others(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An error that takes two fields to make names the line of the one to be changed."""
+    text, field, expected = AT_FIELDS[name]
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    line = 1 + text[: text.index(field)].count("\n")
+    code, error = call(capsys, "validate", str(path))
+    assert code == 2
+    assert error.startswith(f"error: {path}:{line}: {expected}")
 
 
 BAD_CALLS = {

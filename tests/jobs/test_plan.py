@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from jobs.plan import all_run_keys, arm_points, default_shard_size, draw_variables, plan_shards
 from jobs.spec import Experiment, load_experiment, validate
-from jobs.yaml_source import parse
+from jobs.yaml_source import SpecError, parse
 from tests.conftest import SMALL
 
 
@@ -105,3 +106,72 @@ def test_axis_that_does_not_touch_an_arm_is_not_its(small: Path) -> None:
     swept = load_experiment(str(small), ["sweep={nu: {arms.APEL.selector.decay: [0.1, 0.2, 0.3]}}"])
     assert [point.label for point, arm in arm_points(swept, ["SSBAS"])] == [""]
     assert len(arm_points(swept, None)) == 1 + 3 + 1
+
+
+def test_axis_whose_values_are_alike_to_an_arm_still_sets_them(small: Path) -> None:
+    """Values that do not differ for an arm, but differ from the file's, are its values at every sweep point."""
+    axis = "{nu: {arms.APEL.selector.decay: [0.1, 0.2], episodes: [50, 50]}}"
+    swept = load_experiment(str(small), [f"sweep={axis}"])
+    for arm in ("Q_full", "APEL", "SSBAS"):
+        assert {point.experiment.episodes for point, _ in arm_points(swept, [arm])} == {50}
+    as_in_the_file = load_experiment(str(small), [f"sweep={axis.replace('50', '80')}"])
+    assert [point.label for point, _ in arm_points(as_in_the_file, ["Q_full"])] == [""]
+    assert [point.experiment.episodes for point, _ in arm_points(as_in_the_file, ["Q_full"])] == [80]
+
+
+def test_axis_that_touches_an_arm_at_some_places_of_another(small: Path) -> None:
+    """A learner that an arm holds at one sweep point only is swept there."""
+    axes = "{arms.Q_full.learners: [[Q_full], [Q_red]], learners.Q_red.learning_rate: [0.1, 0.2]}"
+    swept = load_experiment(str(small), [f"sweep={axes}"])
+    points = [point.values for point, _ in arm_points(swept, ["Q_full"])]
+    assert {"arms.Q_full.learners": ["Q_red"], "learners.Q_red.learning_rate": 0.2} in points
+    assert len({point.label for point, _ in arm_points(swept, ["Q_full"])}) == 4
+
+
+def test_axis_of_a_member_touches_the_vote(small: Path) -> None:
+    """What its members are is part of a learner, and of every arm that holds it."""
+    vote = ("learners.V={type: voting, members: [Q_red]}", "arms.V={learners: [V]}", "arms.Q={learners: [Q_full]}")
+    swept = load_experiment(str(small), [*vote, "sweep={rate: {learners.Q_red.learning_rate: [0.1, 0.2]}}"])
+    assert [point.label for point, _ in arm_points(swept, ["V"])] == ["rate=0.1", "rate=0.2"]
+    assert [point.label for point, _ in arm_points(swept, ["Q"])] == [""]
+    (first, second) = plan_shards(swept, 100, ["V"], set(), 1)
+    for shard, rate in ((first, 0.1), (second, 0.2)):
+        for run in shard.runs:
+            (config,) = run.learners
+            (member,) = config.members
+            assert member.options == {"learning_rate": rate}
+            assert member.representation.exclude == (run.variables["dropped"],)
+
+
+def test_sweep_points_are_paired(small: Path) -> None:
+    """Run i has the same seed, environment and variables at every sweep point."""
+    swept = load_experiment(
+        str(small), ["sweep={arms.APEL.selector.decay: [0.1, 0.2], learners.Q_red.discount: [1, 0.9]}"]
+    )
+    shards = plan_shards(swept, 100, ["APEL"], set(), 1)
+    assert len(shards) == 4
+    for runs in zip(*(shard.runs for shard in shards), strict=True):
+        assert len({(run.index, run.seed, repr(run.environment), repr(run.variables)) for run in runs}) == 1
+
+
+def test_counted_learners_are_told_apart() -> None:
+    """{Q_full: 2, Q_red: 1} are three learners with names of their own, in the order of the file."""
+    counted = experiment(("APEL: {learners: [Q_full, Q_red]", "APEL: {learners: {Q_red: 1, Q_full: 2}"))
+    (shard,) = plan_shards(counted, 100, ["APEL"], set(), 1)
+    assert shard.arm.learner_names == ("Q_red", "Q_full#0", "Q_full#1")
+    assert [len(learner.representation.exclude) for learner in shard.runs[0].learners] == [1, 0, 0]
+
+
+def test_no_two_shards_share_a_key(small: Path) -> None:
+    """Arm, sweep point and first run tell all shards apart, over axes of every kind."""
+    axes = "{n: {arms.APEL.learners: [{Q_full: 1, Q_red: 1}, {Q_full: 3, Q_red: 1}]}, episodes: [20, 30]}"
+    swept = load_experiment(str(small), [f"sweep={axes}"])
+    shards = plan_shards(swept, 2, None, set(), 1)
+    assert len({shard.key for shard in shards}) == len(shards) == 3 * (2 * 2 + 2 + 2)
+
+
+def test_sweep_point_that_is_no_experiment_is_named(small: Path) -> None:
+    """A combination of values that cannot be says which it is."""
+    swept = load_experiment(str(small), ["sweep={steady_state_episodes: [10, 60], episodes: [50, 70]}"])
+    with pytest.raises(SpecError, match=r"sweep point steady_state_episodes=60, episodes=50: steady_state_episodes: "):
+        arm_points(swept, None)

@@ -86,3 +86,119 @@ def test_errors_are_all_told(small: Path) -> None:
     with pytest.raises(SpecError) as caught:
         load_experiment(str(small), ["runs=0", "seed=-1"])
     assert len(str(caught.value).splitlines()) == 2
+
+
+DEFAULTS = {
+    "title": "a title",
+    "figures": ["4.7"],
+    "runs": 77,
+    "stop_when_met": True,
+    "performance": "return",
+    "sweep": {},
+    "hindsight": {},
+    "steady_state_episodes": None,
+    "environment.max_episode_steps": None,
+    "learners.Q_full.representation": {},
+    "learners.Q_full.members": [],
+    "arms.Q_full.selector": None,
+    "criterion.after": 0,
+    "criterion.evaluation": "training",
+    "criterion.at_least": None,
+    "criterion.below.plus": 0.0,
+}
+
+
+@given(st.sets(st.sampled_from(sorted(DEFAULTS))))
+def test_defaults_and_titles_are_no_part_of_the_identity(paths: set[str]) -> None:
+    """Written out or not, a default means the same; a title means nothing."""
+    source = parse(SMALL, "small.yaml")
+    for path in paths:
+        set_path(source.content, path, DEFAULTS[path])
+    assert validate(source).identity == validate(parse(SMALL, "small.yaml")).identity
+
+
+CHANGES = {
+    "name": "other",
+    "seed": 5,
+    "episodes": 81,
+    "record": "log",
+    "performance": "negative_length",
+    "stop_when_met": False,
+    "steady_state_episodes": 7,
+    "environment.run_seed": None,
+    "environment.max_episode_steps": 50,
+    "environment.options.size": 6,
+    "environment.options.distractors": [4],
+    "variables.dropped": ["y", "x", "distractor"],
+    "variables.more": [1, 2],
+    "learners.Q_full.learning_rate": 0.2,
+    "learners.Q_full.tie_breaking": "first",
+    "learners.Q_full.type": "dyna_q",
+    "learners.Q_red.representation.exclude": ["x"],
+    "arms.APEL.learners": ["Q_red", "Q_full"],
+    "arms.APEL.selector.decay": 0.02,
+    "arms.SSBAS.selector.type": "uniform",
+    "arms.More": {"learners": ["Q_red"]},
+    "criterion": None,
+    "criterion.window": 11,
+    "criterion.after": 1,
+    "criterion.evaluation": "greedy",
+    "criterion.below": 40.0,
+    "criterion.below.plus": 1.0,
+    "sweep": {"episodes": [80]},
+}
+
+
+@given(st.sets(st.sampled_from(sorted(CHANGES)), min_size=1, max_size=3).filter(lambda paths: not _nested(paths)))
+def test_everything_else_is_part_of_the_identity(paths: set[str]) -> None:
+    """Any set of changes gives an identity that no other set gives."""
+    identities = []
+    for some in (paths, set(sorted(paths)[1:])):
+        source = parse(SMALL, "small.yaml")
+        for path in sorted(some):
+            set_path(source.content, path, CHANGES[path])
+        identities.append(validate(source).identity)
+    assert identities[0] != identities[1]
+
+
+def _nested(paths: set[str]) -> bool:
+    return any(other.startswith(f"{path}.") for path in paths for other in paths)
+
+
+ORDERS = {
+    "variables": ("variables={a: [1, 2], b: [1, 2]}", "variables={b: [1, 2], a: [1, 2]}"),
+    "counted learners": ("arms.APEL.learners={Q_full: 1, Q_red: 2}", "arms.APEL.learners={Q_red: 2, Q_full: 1}"),
+    "axes": (
+        "sweep={episodes: [5, 6], learners.Q_full.discount: [1, 0.5]}",
+        "sweep={learners.Q_full.discount: [1, 0.5], episodes: [5, 6]}",
+    ),
+    "paths of an axis": (
+        "sweep={cap: {episodes: [5, 6], learners.Q_full.discount: [1, 0.5]}}",
+        "sweep={cap: {learners.Q_full.discount: [1, 0.5], episodes: [5, 6]}}",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_order_that_means_something_is_part_of_the_identity(name: str, small: Path) -> None:
+    """Where streams or labels follow from the order of names, another order is another experiment."""
+    learners = "learners.Q_red.representation.exclude=[x]"
+    one, other = (load_experiment(str(small), [learners, override]) for override in ORDERS[name])
+    assert one.identity != other.identity
+    assert validate(parse(one.to_yaml(), "again.yaml")).identity == one.identity
+
+
+def test_order_of_options_is_no_part_of_the_identity() -> None:
+    """Fields and options may stand in any order."""
+    other = (
+        SMALL.replace("{type: apel, decay: 0.01}", "{decay: 0.01, type: apel}").replace("seed: 1234\n", "")
+        + "seed: 1234\n"
+    )
+    assert other != SMALL
+    assert validate(parse(other, "o.yaml")).identity == validate(parse(SMALL, "small.yaml")).identity
+
+
+def test_counted_learners() -> None:
+    """How many of each, in the order of the file."""
+    text = SMALL.replace("APEL: {learners: [Q_full, Q_red]", "APEL: {learners: {Q_red: 2, Q_full: 1}")
+    assert validate(parse(text, "small.yaml")).arms["APEL"].learner_names == ["Q_red", "Q_red", "Q_full"]
