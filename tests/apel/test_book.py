@@ -228,3 +228,24 @@ def test_prior_of_the_wrong_length_is_refused_when_the_book_is_opened() -> None:
     """A selector that does not fit the number of learners is refused before the first episode."""
     with pytest.raises(ValueError, match="prior: found 2 concentrations, expected one per learner, 3"):
         book_of(Apel(prior=(1.0, 2.0)), num_learners=3)
+
+
+def test_criterion_that_cannot_be_met_is_refused() -> None:
+    """A window that does not fit between the switch and the cap is refused when the book is opened; one that fits can
+    be met in the last episode.
+    """
+    with pytest.raises(ValueError, match="found 50 episodes, expected at least 51: a window of 3 after episode 48"):
+        book_of(Fixed(), num_learners=1, criterion=Criterion("length", 3, below=10.0, after=48))
+    book = book_of(Fixed(), num_learners=1, criterion=Criterion("length", 3, below=10.0, after=47))
+    for _ in range(50):
+        advance_run(book, Fixed(), 0, 1, 0.0, 0.0)
+    assert (book.train_time[0], book.status[0]) == (50, FINISHED)
+
+
+def test_steady_state_sums_the_last_returns() -> None:
+    """Of the 50 episodes the last 4 count, in the order of play: 46 … 49."""
+    book = book_of(Fixed(), num_learners=1, steady_state_episodes=4)
+    for episode in range(50):
+        advance_run(book, Fixed(), 0, 1, 0.1 * episode, 0.0)
+    assert book.late_return[0] == ((0.1 * 46 + 0.1 * 47) + 0.1 * 48) + 0.1 * 49
+    assert book.late_return[1] == 0.0

@@ -36,6 +36,30 @@ def test_threshold_is_the_float_nearest_to_the_exact_product(tenths: int, length
     assert criterion.threshold({"optimal_length": length}) == float(Fraction(tenths * length, 10))
 
 
+def test_threshold_may_count_cells() -> None:
+    """A path of 34 moves has 35 cells: 1.1 × (34 + 1) is 38.5 exactly, a mean of which is not below it."""
+    criterion = Criterion("length", 2, below=Threshold(1.1, "optimal_length", plus=1))
+    assert criterion.threshold({"optimal_length": 34}) == 38.5
+    assert when_met(criterion, 38.5, [(38, 0.0), (39, 0.0), (37, 0.0)]) == [False, False, True]
+    assert Threshold(1.1, "optimal_length") == Threshold(1.1, "optimal_length", plus=0.0)
+
+
+@given(tenths=st.integers(1, 50), length=st.integers(1, 200), plus=st.integers(-100, 100))
+def test_sum_and_product_are_rounded_once(tenths: int, length: int, plus: int) -> None:
+    """Number plus a tenth of ``plus``, times factor, is worked out exactly and rounded once."""
+    criterion = Criterion("length", 1, below=Threshold(tenths / 10, "optimal_length", plus=plus / 10))
+    assert criterion.threshold({"optimal_length": length}) == float(Fraction(tenths * (10 * length + plus), 100))
+
+
+def test_window_is_counted_from_the_switch() -> None:
+    """With ``after`` 7 and a window of 3 the episodes 7, 8, 9 are the first that can meet it: a train time of 10."""
+    criterion = Criterion("length", 3, below=5.0, after=7)
+    assert when_met(criterion, 5.0, [(1, 0.0)] * 12).index(True) + 1 == 7 + 3
+    # The good episodes before the switch do not make up for a bad one after it: (20 + 1 + 1) / 3 > 5.
+    lengths = [1] * 7 + [20, 1, 1, 1]
+    assert when_met(criterion, 5.0, [(length, 0.0) for length in lengths]) == [False] * 10 + [True]
+
+
 def test_mean_on_the_threshold_is_not_below_it() -> None:
     """Of lengths 37 and 38, three to two, the mean is exactly 37.4, which is not below 1.1 × 34; one move less is."""
     criterion = Criterion("length", 5, below=Threshold(1.1, "optimal_length"))
@@ -75,21 +99,23 @@ def test_measure_is_the_named_one() -> None:
     measure=st.sampled_from(["length", "return"]),
     direction=st.sampled_from(["below", "at_least"]),
     window=st.integers(1, 8),
+    after=st.integers(0, 12),
     bound=st.integers(0, 12),
     episodes=st.lists(st.tuples(st.integers(1, 12), st.integers(0, 12).map(float)), max_size=40),
 )
 def test_criterion_agrees_with_the_mean_of_the_whole_history(
-    measure: str, direction: str, window: int, bound: int, episodes: list[tuple[int, float]]
+    measure: str, direction: str, window: int, after: int, bound: int, episodes: list[tuple[int, float]]
 ) -> None:
-    """The running criterion is the plain one: the mean of the last ``window`` measures against the bound.
+    """The running criterion is the plain one: the mean of the last ``window`` measures against the bound, of
+    the episodes from ``after`` on.
 
     Whole numbers, so that the sum is exact; bounds at which ties happen.
     """
     options: dict[str, Any] = {direction: float(bound)}
-    criterion = Criterion(measure, window, **options)  # type: ignore[arg-type]
+    criterion = Criterion(measure, window, after=after, **options)  # type: ignore[arg-type]
     expected = []
     for played in range(1, len(episodes) + 1):
-        last = [Fraction(int(pair[measure == "return"])) for pair in episodes[:played]][-window:]
+        last = [Fraction(int(pair[measure == "return"])) for pair in episodes[after:played]][-window:]
         mean = sum(last) / window
         expected.append(len(last) == window and (mean < bound if direction == "below" else mean >= bound))
     assert when_met(criterion, criterion.threshold({}), episodes) == expected
