@@ -272,6 +272,10 @@ class _Play:
 
     def checkpoint(self, states: Sequence[State]) -> dict[str, Any]:
         """Everything, as a state tree."""
+        if len(self.progress.rows) > 1:
+            # In one piece: packing takes a while for every array, and rounds have six each.
+            columns = zip(*self.progress.rows, strict=True)
+            self.progress.rows = [EpisodeRows._make(np.concatenate(column) for column in columns)]
         return {
             "version": _CHECKPOINT_VERSION,
             "hosts": list(states),

@@ -41,11 +41,12 @@ def parse(text: str, name: str) -> Source:
         If it is no YAML, gives a key twice, or is no mapping.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        loader = yaml.SafeLoader(text)
+        root = loader.get_single_node()
         lines: dict[Place, int] = {}
         if root is not None:
             _walk(root, (), lines, name)
-        content = yaml.safe_load(text)
+        content = loader.construct_document(root) if root is not None else None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""

@@ -160,20 +160,22 @@ class PlainQLearning(PlainLearner):
         super().__init__(model, environment_key)
         self._generator = SplitMix64.of_seed(seed)
         self._learning_rate, self._discount, self._exploration = learning_rate, discount, exploration
-        self._visible, self._takes_first, self._freezes = visible, takes_first, freezes
+        self._keys = [tuple(values[i] for i in visible) for values in self.world.features_of]
+        self._takes_first, self._freezes = takes_first, freezes
         self._steps = 0
         self.table: defaultdict[Key, list[float]] = defaultdict(self._zeros)
         self._acting = self.table
         self._planning_steps = planning_steps
         self._model: dict[tuple[Key, int], tuple[float, Key | None]] = {}
+        self._pairs: list[tuple[Key, int]] = []
 
     def values(self, state: int) -> list[float]:
         """Q(s, ·) of a state of the environment."""
-        return self.table[self._key_of(state)]
+        return self.table[self._keys[state]]
 
     def judged(self, state: int) -> list[float]:
         """Q(s, ·), of the frozen table where there is one."""
-        return self._acting[self._key_of(state)]
+        return self._acting[self._keys[state]]
 
     def begin(self, episode: int) -> None:
         """Freeze where episode + 1 is a power of two."""
@@ -196,14 +198,15 @@ class PlainQLearning(PlainLearner):
 
     def learn(self, state: int, action: int, reward: float, successor: int, terminated: bool) -> None:
         """One update from what happened; then as many as are planned from what is remembered."""
-        key, next_key = self._key_of(state), None if terminated else self._key_of(successor)
+        key, next_key = self._keys[state], None if terminated else self._keys[successor]
         self._update(key, action, reward, next_key)
         self._steps += 1
         if self._planning_steps:
+            if (key, action) not in self._model:
+                self._pairs.append((key, action))
             self._model[key, action] = reward, next_key
-            pairs = list(self._model)  # in the order in which they were first seen
             for _ in range(self._planning_steps):
-                drawn = pairs[self._generator.integer(len(pairs))]
+                drawn = self._pairs[self._generator.integer(len(self._pairs))]
                 self._update(*drawn, *self._model[drawn])
 
     def _update(self, key: Key, action: int, reward: float, next_key: Key | None) -> None:
@@ -211,9 +214,6 @@ class PlainQLearning(PlainLearner):
         following = 0.0 if next_key is None else max(self.table[next_key])
         values = self.table[key]
         values[action] += self._learning_rate * (reward + self._discount * following - values[action])
-
-    def _key_of(self, state: int) -> Key:
-        return tuple(self.world.features_of[state][i] for i in self._visible)
 
     def _zeros(self) -> list[float]:
         return [0.0] * self.world.num_actions

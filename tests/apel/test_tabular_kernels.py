@@ -56,7 +56,7 @@ class Case:
 
 
 Q, FIRST = QLearningOptions(), QLearningOptions(tie_breaking="first")
-DYNA = DynaQOptions(planning_steps=5)
+DYNA, SOME = DynaQOptions(planning_steps=5), DynaQOptions(planning_steps=2)
 DECAYING = DynaQOptions(0.5, 0.9, Decay(start=0.9, end=0.05, steps=500), "random", 3)
 SWITCHED = DynaQOptions(0.25, 1.0, Switch(before=0.8, episode=20, after=0.01), "first", 1)
 LOTTERY = DynaQOptions(1.0, 0.5, 0.2, "random", 10)
@@ -82,7 +82,7 @@ CASES = {
     "dyna in the lottery": Case("lottery", (LOTTERY,), ((1,),), episodes=100),
     "dyna in the lottery, frozen": Case("lottery", (LOTTERY,), ((1, 2),), freezes=True, episodes=100),
     **{
-        f"{method}{', frozen' * freezes}": Case("maze", (Q, DYNA, FIRST), ((2,), (), (0,)), voting, freezes)
+        f"{method}{', frozen' * freezes}": Case("maze", (Q, SOME, FIRST), ((2,), (), (0,)), voting, freezes)
         for method, voting in VOTINGS.items()
         for freezes in (False, True)
     },

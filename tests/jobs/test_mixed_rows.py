@@ -55,10 +55,10 @@ record: all
 """
 
 
-@pytest.fixture
-def mixed(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of the experiment."""
-    path = tmp_path / "mixed.yaml"
+    path = tmp_path_factory.mktemp("mixed") / "mixed.yaml"
     path.write_text(MIXED)
     return path
 
@@ -71,10 +71,10 @@ def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path
     return folder_of(outcome)
 
 
-@pytest.fixture
-def reference(mixed: Path, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def reference(mixed: Path) -> Path:
     """All runs of an arm in one shard, in this process."""
-    return play(mixed, tmp_path / "reference", placement="local", shard_size=100)
+    return play(mixed, mixed.parent / "reference", placement="local", shard_size=100)
 
 
 @pytest.mark.parametrize(("shard_size", "streak"), [(1, 1), (1, 50), (100, 1), (3, 4)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from jobs.yaml_source import SpecError, parse
 from tests.conftest import SMALL
 
 
+@cache
 def experiment(*changes: tuple[str, str]) -> Experiment:
     """The small experiment with some text replaced."""
     text = SMALL

@@ -11,7 +11,10 @@ import pytest
 from cluster.shard import Execution
 from jobs.runner import Settings, run_experiment
 from jobs.spec import load_experiment
+from tests.conftest import SMALL
 from tests.same_rows import assert_same, folder_of
+
+MANY = ("runs=100", "episodes=25", "record=log")
 
 
 def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
@@ -24,19 +27,30 @@ def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path
     return folder_of(outcome)
 
 
-@pytest.fixture
-def reference(small: Path, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where results lie against which all others are held."""
+    folder = tmp_path_factory.mktemp("reference")
+    (folder / "small.yaml").write_text(SMALL)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reference(folder: Path) -> Path:
     """All runs of an arm in one shard, in this process."""
-    return play(small, tmp_path / "reference", placement="local", shard_size=100)
+    return play(folder / "small.yaml", folder / "results", placement="local", shard_size=100)
+
+
+@pytest.fixture(scope="module")
+def whole(folder: Path) -> Path:
+    """A hundred short runs in one shard."""
+    return play(folder / "small.yaml", folder / "many", *MANY, placement="local", shard_size=100)
 
 
 @pytest.mark.parametrize("shard_size", [1, 7, 50, 100])
-def test_shard_size_changes_no_row(small: Path, tmp_path: Path, shard_size: int) -> None:
+def test_shard_size_changes_no_row(small: Path, whole: Path, tmp_path: Path, shard_size: int) -> None:
     """A hundred runs give the same rows in shards of 1, 7, 50 and 100."""
-    many = ("runs=100", "episodes=25", "record=log")
-    whole = play(small, tmp_path / "whole", *many, placement="local", shard_size=100)
-    parts = play(small, tmp_path / "parts", *many, placement="local", shard_size=shard_size)
-    assert_same(whole, parts)
+    assert_same(whole, play(small, tmp_path, *MANY, placement="local", shard_size=shard_size))
 
 
 @pytest.mark.parametrize("streak_episodes", [1, 5, 50])
