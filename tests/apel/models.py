@@ -44,9 +44,9 @@ def lottery(max_steps: int = 20, num_distractors: int = 1) -> FiniteModel:
     )
 
 
-def mazes() -> list[FiniteModel]:
+def mazes(max_steps: int = 80) -> list[FiniteModel]:
     """Three small mazes with a distractor, of which two are one object."""
-    one, two = (Maze(maze_seed=seed, size=5, distractors=(4,), max_steps=80).finite_model for seed in (1, 2))
+    one, two = (Maze(maze_seed=seed, size=5, distractors=(4,), max_steps=max_steps).finite_model for seed in (1, 2))
     return [one, two, one]
 
 

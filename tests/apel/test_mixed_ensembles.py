@@ -25,8 +25,8 @@ SEEDS = [1892932127, 501869158]
 NEVER = Criterion("length", 3, below=0.5, evaluation="greedy")
 GREEDY = Criterion("length", 5, below=Threshold(1.0, "optimal_length", plus=0.5), evaluation="greedy")
 
-MAZE = EnvironmentConfig("apel/Maze-v0", {"size": 4, "distractors": [3], "max_steps": 60}, run_seed="maze_seed")
-FROZEN_LAKE = EnvironmentConfig("FrozenLake-v1", max_episode_steps=50)
+MAZE = EnvironmentConfig("apel/Maze-v0", {"size": 4, "distractors": [3], "max_steps": 30}, run_seed="maze_seed")
+FROZEN_LAKE = EnvironmentConfig("FrozenLake-v1", max_episode_steps=30)
 DECAYING = {"exploration": Decay(start=0.9, end=0.02, steps=600)}
 FEW = Representation(exclude=("distractor",))
 

@@ -35,7 +35,7 @@ from tests.apel.plain_voting import PlainVoting
 KEYS = [0x123456789ABCDEF0, 2**64 - 5, 17]
 UNLIMITED = StreakLimit(10**6, 10**5)
 MODELS: dict[str, Callable[[], list[FiniteModel]]] = {
-    "maze": mazes,
+    "maze": lambda: mazes(max_steps=40),
     "frozen lake": frozen_lakes,
     "lottery": lambda: [lottery(num_distractors=2)] * 3,
 }

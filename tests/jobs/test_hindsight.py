@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pyarrow as pa
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jobs.hindsight import with_hindsight
@@ -90,6 +90,7 @@ def test_without_hindsight_the_table_is_untouched() -> None:
     assert with_hindsight(table, {}) is table
 
 
+@settings(max_examples=40)
 @given(
     st.dictionaries(
         st.tuples(st.sampled_from("ABC"), st.integers(0, 3)),
