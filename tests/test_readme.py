@@ -20,12 +20,13 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
-def test_python_example(tmp_path: Path) -> None:
+def test_python_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The ten lines of Python run, and print what they say."""
     example = next(block for block in blocks("python") if "apel.Ensemble" in block)
     assert len(example.strip().splitlines()) <= 12
-    result = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert "of the last 100 episodes went to the reduced learner" in result.stdout
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {"__name__": "__main__"})
+    assert "of the last 100 episodes went to the reduced learner" in capsys.readouterr().out
 
 
 @pytest.mark.ray

@@ -188,4 +188,4 @@ class QLearning:
 
 def observation_key(observation: Any) -> tuple[int, ...]:
     """A finite observation as the key of a table."""
-    return tuple(int(value) for value in np.atleast_1d(observation))
+    return tuple(np.asarray(observation, dtype=np.int64).ravel().tolist())

@@ -14,6 +14,7 @@ import pandas as pd
 import polars as pl
 import pytest
 
+from jobs.cli import main
 from jobs.runner import Outcome, Settings, run_experiment
 from jobs.spec import load_experiment
 from jobs.store import ResultStore
@@ -152,7 +153,9 @@ def test_spec_in_the_results_gives_the_same(small: Path, tmp_path: Path) -> None
     assert store.experiment().identity == folder_of(outcome).name
 
 
-def test_failed_run_is_named(small: Path, tmp_path: Path) -> None:
+def test_failed_run_is_named(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A failing run ends in exit code 1 and a line with its seed, learner and episode; the other arms are stored."""
     overrides = [
         "environment={id: 'tests.user_code:Corridor', options: {fault: raise, episode: 10}}",
@@ -161,20 +164,14 @@ def test_failed_run_is_named(small: Path, tmp_path: Path) -> None:
         "variables={}",
         "criterion=null",
     ]
-    command = [sys.executable, "-m", "jobs", "run", str(small), "--placement", "local", "--results", str(tmp_path)]
-    result = subprocess.run(
-        [*command, *(part for override in overrides for part in ("--set", override))],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert result.returncode == 1
-    assert (
-        "6 run(s) failed: OSError: the motor is stuck at seed 1892932127 (run 0), learner Q, episode 10"
-        in result.stderr
-    )
-    assert "Traceback" not in result.stderr
+    command = ["apel", "run", str(small), "--placement", "local", "--results", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", [*command, *(part for override in overrides for part in ("--set", override))])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 1
+    error = capsys.readouterr().err
+    assert "6 run(s) failed: OSError: the motor is stuck at seed 1892932127 (run 0), learner Q, episode 10" in error
+    assert "Traceback" not in error
 
 
 @pytest.mark.ray
