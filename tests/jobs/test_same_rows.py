@@ -15,6 +15,7 @@ from tests.conftest import SMALL
 from tests.same_rows import assert_same, folder_of
 
 MANY = ("runs=100", "episodes=25", "record=log")
+TWO: tuple[str, ...] = ("Q_full", "APEL")
 
 
 def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
@@ -44,13 +45,13 @@ def reference(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def whole(folder: Path) -> Path:
     """A hundred short runs in one shard."""
-    return play(folder / "small.yaml", folder / "many", *MANY, placement="local", shard_size=100)
+    return play(folder / "small.yaml", folder / "many", *MANY, placement="local", shard_size=100, arms=TWO)
 
 
 @pytest.mark.parametrize("shard_size", [1, 7, 50, 100])
 def test_shard_size_changes_no_row(small: Path, whole: Path, tmp_path: Path, shard_size: int) -> None:
-    """A hundred runs give the same rows in shards of 1, 7, 50 and 100."""
-    assert_same(whole, play(small, tmp_path, *MANY, placement="local", shard_size=shard_size))
+    """A hundred runs, of a learner alone and of an ensemble, give the same rows in shards of 1, 7, 50 and 100."""
+    assert_same(whole, play(small, tmp_path, *MANY, placement="local", shard_size=shard_size, arms=TWO))
 
 
 @pytest.mark.parametrize("streak_episodes", [1, 5, 50])
