@@ -165,7 +165,8 @@ class Experiment(_Model):
                 if path.split(".")[0] in _NOT_SWEPT and not path.startswith("arms."):
                     message = f"found the path {path!r}, expected a field that may differ between sweep points"
                     raise ValueError(message)
-            lengths, labels = [len(column) for column in columns.values()], list(map(str, next(iter(columns.values()))))
+            lengths = [len(column) for column in columns.values()]
+            labels = list(map(str, columns.get(LABEL) or next(iter(columns.values()))))
             if len(set(lengths)) != 1 or not lengths[0]:
                 message = f"{axis}: found {lengths} values, expected equally many, and at least one"
                 raise ValueError(message)
