@@ -15,6 +15,7 @@ from rich.table import Table
 
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
+from jobs import reproduction
 from jobs.analysis.report import write_report
 from jobs.design import Request, advice
 from jobs.design import design as design_decay
@@ -121,6 +122,43 @@ def run(
     finally:
         observer.stop()
     _finish(experiment, outcome, quiet=quiet)
+
+
+@app.command()
+def reproduce(
+    scale: Annotated[str, typer.Option(help="smoke (2 runs each), tenth or full.")] = "full",
+    results: Annotated[str, typer.Option(help="Folder or URI for the results.")] = "results",
+    placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "packed",
+    address: Annotated[str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT.")] = None,
+    cpus: Annotated[int | None, typer.Option(min=1, help="CPUs of the Ray that is started here.")] = None,
+) -> None:
+    """Run all shipped experiments, or go on where that stopped; then figures, claims, and one report of it all."""
+    if scale not in ("smoke", "tenth", "full"):
+        message = f"--scale: found {scale!r}, expected smoke, tenth or full"
+        raise SpecError(message)
+    settings = Settings(results=results, placement=_placement(placement), address=address, num_cpus=cpus)
+    observers: list[TerminalObserver] = []
+
+    def observer_for(experiment: Experiment) -> TerminalObserver:
+        _out.print(f"{experiment.name}: {experiment.title}", highlight=False)
+        observers.append(TerminalObserver(_out))
+        return observers[-1]
+
+    failed = False
+    try:
+        for experiment, outcome in reproduction.reproduce(scale, settings, observer_for):  # type: ignore[arg-type]
+            observers[-1].stop()
+            _out.print(f"{experiment.name}: {outcome.num_computed} runs in {outcome.seconds:.1f} s", highlight=False)
+            failed |= bool(outcome.failures)
+            for line in grouped(outcome.failures):
+                _err.print(f"error: {line}", style="red", highlight=False, markup=False)
+    except KeyboardInterrupt:
+        raise InterruptedJobError from None
+    finally:
+        for observer in observers:
+            observer.stop()
+    if failed:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -240,9 +240,21 @@ class Experiment(_Model):
 
 def shipped_experiments() -> dict[str, str]:
     """Name → text of the experiment files that come with the package."""
+    return _shipped("arms")
+
+
+def shipped_galleries() -> dict[str, Gallery]:
+    """Name → figures that need no runs."""
+    found = {name: parse(text, f"{name}.yaml") for name, text in _shipped("pictures").items()}
+    return {name: Gallery.model_validate(source.content) for name, source in found.items()}
+
+
+def _shipped(field: str) -> dict[str, str]:
+    """Name → text of the shipped files that have a field at their top."""
     folder = resources.files("jobs") / "experiments"
     files = sorted((file for file in folder.iterdir() if file.name.endswith(".yaml")), key=lambda file: file.name)
-    return {file.name.removesuffix(".yaml"): file.read_text(encoding="utf-8") for file in files}
+    texts = {file.name.removesuffix(".yaml"): file.read_text(encoding="utf-8") for file in files}
+    return {name: text for name, text in texts.items() if f"\n{field}:" in text}
 
 
 def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment:

@@ -1,0 +1,60 @@
+"""All shipped experiments, one after the other, on one cluster; what is finished is not played again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+from jobs.plan import arm_points
+from jobs.runner import Observer, Outcome, Settings, run_experiment
+from jobs.spec import Experiment, load_experiment, shipped_experiments
+
+Scale = Literal["smoke", "tenth", "full"]
+_SMOKE_RUNS = 2
+
+
+def scaled(experiment: Experiment, scale: Scale) -> Experiment:
+    """The experiment with all its runs, a tenth of them, or two; its rows are the same as far as they go."""
+    runs = {"smoke": min(_SMOKE_RUNS, experiment.runs), "tenth": -(-experiment.runs // 10), "full": experiment.runs}
+    return experiment.model_copy(update={"runs": runs[scale]})
+
+
+def reproduced_experiments(scale: Scale) -> list[Experiment]:
+    """All shipped experiments, small ones first, so that most of them are there early."""
+    experiments = [scaled(load_experiment(name), scale) for name in shipped_experiments()]
+    return sorted(experiments, key=_most_episodes)
+
+
+def _most_episodes(experiment: Experiment) -> int:
+    points = arm_points(experiment, None)
+    return experiment.runs * sum(
+        point.experiment.episodes * len(point.experiment.arms[arm].learner_names) for point, arm in points
+    )
+
+
+def reproduce(
+    scale: Scale, settings: Settings, observer_for: Callable[[Experiment], Observer]
+) -> Iterator[tuple[Experiment, Outcome]]:
+    """Run every shipped experiment, or go on where an earlier call stopped; yields each with what came of it.
+
+    Raises
+    ------
+    SpecError, StoreError, ClusterError
+        See `jobs.runner.run_experiment`.
+    """
+    with _cluster(settings):
+        for experiment in reproduced_experiments(scale):
+            yield experiment, run_experiment(experiment, settings, observer_for(experiment))
+
+
+@contextmanager
+def _cluster(settings: Settings) -> Iterator[None]:
+    """One Ray for all experiments: each of them stays with the one it finds."""
+    if settings.placement == "local":
+        yield
+        return
+    from cluster.launch import ray_cluster
+
+    with ray_cluster(settings.address, settings.num_cpus, dashboard=settings.dashboard):
+        yield
