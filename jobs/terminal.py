@@ -13,6 +13,7 @@ from rich.table import Table
 
 from cluster.coordinator import ShardDone, ShardProgress
 from cluster.shard import Shard
+from jobs.analysis.results_table import results_table
 from jobs.design import SELECTION_AWARE, Prediction
 from jobs.manifest import arm_timings
 from jobs.runner import Observer
@@ -81,21 +82,12 @@ class TerminalObserver(Observer):
 
 def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:
     """The table of results."""
+    shown = results_table(summary, arm_timings(manifest))
     table = Table(title=manifest.get("experiment"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    rows = summary.to_pylist()
-    has_sweep = any(row["sweep"] for row in rows)
-    has_times = "mean_train_time" in summary.column_names
-    headings = ["arm", *(["sweep"] if has_sweep else []), "runs"]
-    headings += ["train time", "95 % interval", "IQM", "censored"] if has_times else ["episodes"]
-    for heading in (*headings, "wall time", "steps/s"):
-        table.add_column(heading, justify="left" if heading in {"arm", "sweep"} else "right", no_wrap=True)
-    timings = arm_timings(manifest)
-    for row in rows:
-        seconds, steps = timings.get(row["arm"], (0.0, 0.0))
-        cells = [row["arm"], *([row["sweep"]] if has_sweep else []), str(row["runs"])]
-        cells += _time_cells(row) if has_times else [f"{row['episodes']:,}"]
-        speed = f"{steps / seconds / 1e6:,.1f} M" if seconds else "-"
-        table.add_row(*cells, f"{seconds:,.1f} s", speed)
+    for column, heading in enumerate(shown.headings):
+        table.add_column(heading, justify="left" if column < shown.num_names else "right", no_wrap=True)
+    for row in shown.rows:
+        table.add_row(*row)
     return table
 
 
@@ -113,11 +105,3 @@ def design_table(predictions: Sequence[Prediction]) -> Table:
         cells += [f"{row.performance:.4g}"] if row.performance is not None else []
         table.add_row(*cells, style="bold" if row.predicted_by == SELECTION_AWARE else None)
     return table
-
-
-def _time_cells(row: dict[str, Any]) -> list[str]:
-    if row["mean_train_time"] is None:
-        return ["-"] * 4
-    interval = f"{row['interval_low']:,.0f} to {row['interval_high']:,.0f}"
-    censored = f"{row['num_censored']} of {row['runs']}"
-    return [f"{row['mean_train_time']:,.0f}", interval, f"{row['interquartile_mean']:,.0f}", censored]
