@@ -32,9 +32,23 @@ def check(experiment: Experiment, arms: Collection[str] | None = None) -> None:
         if name not in experiment.arms:
             message = f"--arms: found {name!r}, expected some of {', '.join(experiment.arms)}"
             raise SpecError(message)
+    _check_hindsight(experiment)
     for point, arm in arm_points(experiment, arms):
         for index, seed in _distinct_runs(point.experiment):
             _check_run(point, arm, index, seed)
+
+
+def _check_hindsight(experiment: Experiment) -> None:
+    """Arms of which the best is taken must be played at the same sweep points."""
+    labels: dict[str, list[str]] = {}
+    for point, arm in arm_points(experiment, None):
+        labels.setdefault(arm, []).append(point.label)
+    for name, sources in experiment.hindsight.items():
+        if any(labels[source] != labels[sources[0]] for source in sources):
+            found = ", ".join(f"{source} at {len(labels[source])}" for source in sources)
+            place = experiment.where("hindsight", name)
+            message = f"{place}: found {found} sweep points, expected arms that are played at the same ones"
+            raise SpecError(message)
 
 
 def _distinct_runs(experiment: Experiment) -> list[tuple[int, int]]:

@@ -267,3 +267,11 @@ def test_earlier_results_stay(small: Path, tmp_path: Path, capsys: pytest.Captur
     code, _ = call(capsys, "run", str(small), "--results", str(results), "--set", "runs=0", "--fresh")
     assert code == 2
     assert {path: path.read_bytes() for path in results.rglob("*") if path.is_file()} == before
+
+
+def test_hindsight_of_arms_at_different_sweep_points(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The best of several arms is taken at each sweep point: an axis that only some of them have leaves no pairs."""
+    settings = ("sweep={nu: {arms.APEL.selector.decay: [0.1, 0.2]}}", "hindsight={Best: [Q_full, APEL]}")
+    code, error = call(capsys, "validate", str(small), "--set", settings[0], "--set", settings[1])
+    assert code == 2
+    assert "hindsight.Best: found Q_full at 1, APEL at 2 sweep points" in error
