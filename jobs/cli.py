@@ -19,8 +19,9 @@ from jobs import reproduction
 from jobs.analysis.report import write_report
 from jobs.design import Request, advice
 from jobs.design import design as design_decay
+from jobs.plan import arm_points
 from jobs.runner import Outcome, Placement, Settings, run_experiment
-from jobs.spec import Experiment, load_experiment, shipped_experiments
+from jobs.spec import Experiment, load_experiment, shipped_experiments, shipped_galleries
 from jobs.store import ResultStore, StoreError
 from jobs.terminal import TerminalObserver, design_table, summary_table
 from jobs.validation import check
@@ -62,7 +63,8 @@ def list_experiments() -> None:
     for name in shipped_experiments():
         experiment = load_experiment(name)
         arms = len(experiment.arms)
-        episodes = experiment.runs * arms * experiment.episodes
+        points = arm_points(experiment, None)
+        episodes = experiment.runs * sum(point.experiment.episodes for point, _ in points)
         table.add_row(
             name,
             ", ".join(experiment.figures),
@@ -71,6 +73,8 @@ def list_experiments() -> None:
             f"{episodes / 1e6:,.1f} M episodes",
             experiment.title,
         )
+    for name, gallery in shipped_galleries().items():
+        table.add_row(name, ", ".join(gallery.figures), "-", "-", "-", f"{gallery.title} (drawn by apel reproduce)")
     _out.print(table)
 
 
