@@ -16,6 +16,7 @@ from rich.table import Table
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
 from jobs import reproduction
+from jobs.analysis import claims as ledger
 from jobs.analysis.report import write_report
 from jobs.design import Request, advice
 from jobs.design import design as design_decay
@@ -23,7 +24,7 @@ from jobs.plan import arm_points
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment, load_experiment, shipped_experiments, shipped_galleries
 from jobs.store import ResultStore, StoreError
-from jobs.terminal import TerminalObserver, design_table, summary_table
+from jobs.terminal import TerminalObserver, design_table, summary_table, verdict_table
 from jobs.validation import check
 from jobs.yaml_source import SpecError
 
@@ -178,6 +179,25 @@ def figures(results: Annotated[str, typer.Argument(help="The folder of an experi
     store = ResultStore.at(results)
     for path in (*_draw(store, store.experiment()), write_report(store)):
         _out.print(path, highlight=False)
+
+
+@app.command()
+def claims(
+    results: Annotated[
+        list[str] | None, typer.Argument(help="Folders of results, or of an experiment's. Default: results.")
+    ] = None,
+    output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
+) -> None:
+    """Hold what the dissertation claims against the results, from the files alone."""
+    verdicts = ledger.evaluate(ledger.shipped_claims(), ledger.found_stores(results or ["results"]))
+    _out.print(verdict_table(verdicts))
+    _out.print(ledger.count_line(verdicts), highlight=False)
+    if output is not None:
+        store = ResultStore.at(output)
+        store.write_table("claims.parquet", ledger.claims_table(verdicts))
+        store.folder.write("claims.md", ledger.claims_markdown(verdicts).encode())
+        for name in ("claims.parquet", "claims.md"):
+            _out.print(store.folder.location(name), highlight=False)
 
 
 @app.command()

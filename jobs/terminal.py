@@ -13,6 +13,7 @@ from rich.table import Table
 
 from cluster.coordinator import ShardDone, ShardProgress
 from cluster.shard import Shard
+from jobs.analysis.claims import Ruling, Verdict, cells
 from jobs.analysis.results_table import results_table
 from jobs.design import SELECTION_AWARE, Prediction
 from jobs.manifest import arm_timings
@@ -105,3 +106,19 @@ def design_table(predictions: Sequence[Prediction]) -> Table:
         cells += [f"{row.performance:.4g}"] if row.performance is not None else []
         table.add_row(*cells, style="bold" if row.predicted_by == SELECTION_AWARE else None)
     return table
+
+
+def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+    """The ledger of claims, short: its page has the words."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "expected", "runs", "censored"):
+        is_text = heading in {"claim", "claimed", "verdict", "expected"}
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
+    for verdict in verdicts:
+        name, _, _, _, value, interval, claimed, ruling, expected, runs, censored, _ = cells(verdict)
+        colour = _COLOURS[verdict.ruling]
+        table.add_row(name, value, interval, claimed, f"[{colour}]{ruling}[/]", expected, runs, censored)
+    return table
+
+
+_COLOURS: dict[Ruling, str] = {"holds": "green", "fails": "red", "undecided": "yellow", "missing": "dim"}

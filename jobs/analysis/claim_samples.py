@@ -1,0 +1,181 @@
+"""From stored results to the numbers that a claim is about: runs side by side, by arm and point of an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+from numpy.typing import NDArray
+
+from jobs.analysis.claim_statistics import Sample
+from jobs.spec import Experiment
+from jobs.store import ResultStore
+
+WINDOW = "window"
+"""The axis of a claim on several windows of episodes."""
+
+
+class MissingError(Exception):
+    """The results that a claim needs are not there (yet)."""
+
+
+class UnknownNameError(Exception):
+    """A claim names what its experiment does not have."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which rows, side by side: see `jobs.analysis.claims.Statistic` for the fields."""
+
+    metric: str
+    arms: Sequence[str]
+    where: dict[str, Any]
+    axis: str | None = None
+    values: Sequence[Any] | None = None
+    pool: Sequence[str] = ()
+    learner: int | None = None
+    windows: Sequence[tuple[int, int]] = ()
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The sample, and which of its runs were censored where, ``bool[runs, arms, points]``."""
+
+    sample: Sample
+    censored_at: NDArray[np.bool_]
+
+    @property
+    def censored(self) -> NDArray[np.bool_]:
+        """``bool[runs]``: at any point."""
+        by_run: NDArray[np.bool_] = self.censored_at.reshape(len(self.censored_at), -1).any(axis=1)
+        return by_run
+
+
+class Results:
+    """The stored results of one experiment, read once."""
+
+    def __init__(self, store: ResultStore) -> None:
+        self.store = store
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """What was played."""
+        return self.store.experiment()
+
+    @cached_property
+    def runs(self) -> Any:
+        """The run rows as a pandas frame."""
+        return self.store.runs().to_pandas()
+
+    def select(self, selection: Selection) -> Selected:
+        """The numbers that are asked for.
+
+        Raises
+        ------
+        UnknownNameError
+            If an arm or a column is none of the experiment's, or a run has several rows where one is expected.
+        MissingError
+            If rows are missing.
+        """
+        self._expect_known(selection)
+        frame = self.runs[self.runs["arm"].isin(selection.arms)]
+        axis = selection.axis
+        if selection.windows:
+            frame = self._windows(frame, selection)
+            axis = axis or (WINDOW if len(selection.windows) > 1 else None)
+        for column, value in selection.where.items():
+            if column in frame:
+                frame = frame[(frame[column] == value) | frame[column].isna()]
+        if selection.metric not in frame:
+            raise MissingError(_missing(self, f"no {selection.metric}"))
+        points = _points(self, frame, axis, selection)
+        columns = [[self._column(frame, arm, axis, point, selection) for point in points] for arm in selection.arms]
+        return self._side_by_side(columns, points, selection)
+
+    def _expect_known(self, selection: Selection) -> None:
+        experiment = self.experiment
+        arms = [*experiment.arms, *experiment.hindsight]
+        known = {*self.runs.columns, *experiment.sweep, *experiment.variables}
+        columns = [*selection.where, *selection.pool, *([selection.axis] if selection.axis else [])]
+        columns += [] if selection.windows else [selection.metric]
+        for kind, names, expected in (("arm", selection.arms, arms), ("column", columns, sorted(known))):
+            for name in names:
+                if name not in expected:
+                    message = f"found {kind} {name!r}, expected some of {', '.join(expected)} of {experiment.name}"
+                    raise UnknownNameError(message)
+
+    def _column(self, frame: Any, arm: str, axis: str | None, point: Any, selection: Selection) -> Any:
+        """One arm at one point: value and censoring by run."""
+        rows = frame[frame["arm"] == arm].dropna(subset=[selection.metric])
+        if axis is not None and axis in rows:
+            rows = rows[(rows[axis] == point) | rows[axis].isna()]
+        if rows.empty:
+            raise MissingError(_missing(self, f"no runs of {arm}" + (f" at {axis} {point}" if axis else "")))
+        keys = ["run_index", *(column for column in selection.pool if column in rows)]
+        if rows.duplicated(keys).any():
+            sweeps = ", ".join(self.experiment.sweep)
+            message = f"found several rows of a run of {arm}, expected one: name {sweeps} in where, axis or pool"
+            raise UnknownNameError(message)
+        by_run = rows.assign(censored=rows["censored"].fillna(value=False).astype(bool)).groupby("run_index")
+        table = by_run.agg(value=(selection.metric, "mean"), censored=("censored", "any"), count=("arm", "size"))
+        return table[table["count"] == table["count"].max()]
+
+    def _side_by_side(self, columns: list[list[Any]], points: Sequence[Any], selection: Selection) -> Selected:
+        tables = [table for row in columns for table in row]
+        common = sorted(set.intersection(*(set(table.index) for table in tables)))
+        if not common:
+            raise MissingError(_missing(self, f"no run that all of {', '.join(selection.arms)} have"))
+        shape = (len(common), len(columns), len(points))
+        values = np.stack([table.loc[common, "value"].to_numpy(np.float64) for table in tables], axis=1)
+        censored = np.stack([table.loc[common, "censored"].to_numpy(np.bool_) for table in tables], axis=1)
+        axis = [point if isinstance(point, int | float) else place for place, point in enumerate(points)]
+        arm = self.experiment.arms.get(selection.arms[0])
+        num_learners = len(arm.learner_names) if arm else 1
+        sample = Sample(values.reshape(shape), np.array(axis, dtype=np.float64), num_learners)
+        return Selected(sample, censored.reshape(shape))
+
+    def _windows(self, frame: Any, selection: Selection) -> Any:
+        """The run rows, once per window, with the mean over the recorded episodes in it."""
+        parts = [self._episodes(arm, selection) for arm in selection.arms]
+        found = pd.concat(parts, ignore_index=True)
+        return frame.merge(found, on=["arm", "sweep", "run_index"], suffixes=("", "_of_run"))
+
+    def _episodes(self, arm: str, selection: Selection) -> Any:
+        folder = self.store.folder
+        if not folder.exists(f"episodes/arm={arm}"):
+            raise MissingError(_missing(self, f"no recorded episodes of {arm}"))
+        rows = ds.dataset(folder.path(f"episodes/arm={arm}"), filesystem=folder.filesystem, format="parquet")
+        first, last = selection.windows[0][0], selection.windows[-1][1]
+        within = (ds.field("episode") >= first) & (ds.field("episode") <= last)
+        table = rows.to_table(["sweep", "run_index", "episode", selection.metric], filter=within)
+        values = table[selection.metric]
+        if selection.learner is not None:
+            values = pc.list_element(values, selection.learner)
+        episode = table["episode"].to_numpy()
+        starts, ends = (np.array(edge) for edge in zip(*selection.windows, strict=True))
+        window = np.searchsorted(starts, episode, side="right") - 1
+        frame = table.select(["sweep", "run_index"]).to_pandas()
+        frame = frame.assign(**{WINDOW: starts[window], selection.metric: values.to_numpy()})[episode <= ends[window]]
+        return frame.groupby(["sweep", "run_index", WINDOW], as_index=False)[selection.metric].mean().assign(arm=arm)
+
+
+def _points(results: Results, frame: Any, axis: str | None, selection: Selection) -> Sequence[Any]:
+    """Values of the axis, in order; one nameless point without an axis."""
+    if axis is None:
+        return [None]
+    if selection.values is not None:
+        return selection.values
+    found = sorted(frame[axis].dropna().unique().tolist()) if axis in frame else []
+    if not found:
+        raise MissingError(_missing(results, f"no runs with a {axis}"))
+    return found
+
+
+def _missing(results: Results, what: str) -> str:
+    return f"{results.experiment.name}: {what}"
