@@ -32,6 +32,9 @@ format: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.main_job
+	$(BIN)/python -m benchmarks.selector_cost
+	$(BIN)/python -m benchmarks.linear_cost
+	$(BIN)/python -m benchmarks.statistics
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
