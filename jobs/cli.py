@@ -15,6 +15,7 @@ from rich.table import Table
 
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
+from cluster.storage import Folder
 from jobs import reproduction
 from jobs.analysis import claims as ledger
 from jobs.analysis.report import write_report
@@ -150,10 +151,12 @@ def reproduce(
         return observers[-1]
 
     failed = False
+    stores: list[ResultStore] = []
     try:
         for experiment, outcome in reproduction.reproduce(scale, settings, observer_for):  # type: ignore[arg-type]
             observers[-1].stop()
             _out.print(f"{experiment.name}: {outcome.num_computed} runs in {outcome.seconds:.1f} s", highlight=False)
+            stores.append(outcome.store)
             failed |= bool(outcome.failures)
             for line in grouped(outcome.failures):
                 _err.print(f"error: {line}", style="red", highlight=False, markup=False)
@@ -162,6 +165,7 @@ def reproduce(
     finally:
         for observer in observers:
             observer.stop()
+    _write_reproduction(results, stores)
     if failed:
         raise typer.Exit(1)
 
@@ -216,6 +220,17 @@ def design(
     _out.print(design_table(rows))
     for line in advice(rows, learners):
         _out.print(line, highlight=False)
+
+
+def _write_reproduction(results: str, stores: list[ResultStore]) -> None:
+    from jobs.analysis.reproduction_folder import write_reproduction
+
+    folder = Folder(f"{results.rstrip('/')}/reproduction")
+    verdicts = write_reproduction(folder, stores)
+    _out.print(verdict_table(verdicts))
+    _out.print(ledger.count_line(verdicts), highlight=False)
+    for name in ("claims.parquet", "claims.md", "tables/", "figures/", "report.html"):
+        _out.print(folder.location(name), highlight=False)
 
 
 def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:

@@ -254,7 +254,8 @@ def claims_markdown(verdicts: Sequence[Verdict]) -> str:
     lines = ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in rows]
     legend = (
         "A claim holds where the whole 95 % interval lies on the claimed side, fails where the whole lies on the "
-        "other, and is undecided otherwise. A claim on every run, or on none, fails with the first run that is otherwise. "
+        "other, and is undecided otherwise. A claim on every run, or on none, fails with the first run that is "
+        "otherwise. "
         f"Fewer than {MIN_RUNS} runs decide only that. Arms of one experiment share their runs, and are compared in "
         "pairs. Censored runs count with their cap, which is a lower bound."
     )

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import html
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from cluster.storage import Folder
 from jobs.analysis import page
+from jobs.analysis.claims import Verdict, cells, count_line
 from jobs.spec import Gallery
 from jobs.store import ResultStore
 
-_CLAIM_HEADS = ("figure", "claim", "value", "95 % interval", "claimed", "verdict")
+_HEADS = ("figure", "what is claimed", "value", "95 % interval", "claimed", "verdict", "expected")
 
 
 def reproduction_page(
-    folder: Folder, galleries: Iterable[Gallery], stores: Sequence[ResultStore], claims: Sequence[Mapping[str, Any]]
+    folder: Folder, galleries: Iterable[Gallery], stores: Sequence[ResultStore], verdicts: Sequence[Verdict]
 ) -> bytes:
-    """The page: what was done, the claims (rows of ``claims.parquet``), then figures and tables of each experiment."""
+    """The page: what was done, the claims, then figures and tables of each experiment."""
     runs = sum(len(store.runs()) for store in stores)
     seconds = sum(session["seconds"] for store in stores for session in store.manifest().get("sessions", []))
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in Counter(row["verdict"] for row in claims).items())
     played = f"{len(stores)} experiments, {runs:,} runs, {seconds / 60:,.1f} minutes of playing"
     body = [
-        f"<p>{played}. Of {len(claims)} claims: {counts}.</p>",
+        f"<p>{played}. {count_line(verdicts)}.</p>",
         "<h2>Ledger of claims</h2>",
-        _ledger(claims),
+        _ledger(verdicts),
     ]
     for gallery in galleries:
         body += [_heading(gallery.title or gallery.name, gallery.figures)]
@@ -45,16 +43,12 @@ def _heading(title: str, figures: Sequence[str]) -> str:
     return f"<h2>{html.escape(title + numbers)}</h2>"
 
 
-def _ledger(claims: Sequence[Mapping[str, Any]]) -> str:
-    head = "".join(f"<th class='name'>{heading}</th>" for heading in _CLAIM_HEADS)
+def _ledger(verdicts: Sequence[Verdict]) -> str:
+    head = "".join(f"<th class='name'>{heading}</th>" for heading in _HEADS)
     rows = []
-    for claim in claims:
-        cells = [_number(claim["value"]), f"{_number(claim['low'])} to {_number(claim['high'])}", claim["claimed"]]
-        numbers = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
-        text = f"<td class='name'>{html.escape(claim['source'])}</td><td class='text'>{html.escape(claim['text'])}</td>"
-        rows.append(f"<tr>{text}{numbers}<td class='{claim['verdict']}'>{claim['verdict']}</td></tr>")
+    for verdict in verdicts:
+        _, source, text, _, value, interval, claimed, ruling, expected, *_, note = map(html.escape, cells(verdict))
+        words = f"<td class='name'>{source}</td><td class='text'>{text}{f' ({note})' if note else ''}</td>"
+        numbers = "".join(f"<td>{cell}</td>" for cell in (value, interval, claimed))
+        rows.append(f"<tr>{words}{numbers}<td class='{ruling}'>{ruling}</td><td>{expected}</td></tr>")
     return f"<div class='wide'><table><tr>{head}</tr>{''.join(rows)}</table></div>"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None or value != value else f"{value:,.4g}" if abs(value) < 1000 else f"{value:,.0f}"

@@ -1,0 +1,57 @@
+"""What is made of all experiments together: ledger, tables, figures and one page, in a folder of its own.
+
+``results/reproduction/``
+
+    report.html      everything on one page, which opens offline
+    claims.parquet   the ledger, also as claims.md
+    tables/          the summary of each experiment as CSV
+    figures/         of each experiment, and those that need no runs, PNG and SVG
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from cluster.storage import Folder
+from jobs.analysis.claims import Verdict, claims_markdown, claims_table, evaluate, shipped_claims
+from jobs.analysis.figures import draw_figures, draw_gallery
+from jobs.analysis.report import write_report
+from jobs.analysis.reproduction_page import reproduction_page
+from jobs.spec import shipped_galleries
+from jobs.store import ResultStore
+
+
+def write_reproduction(folder: Folder, stores: Sequence[ResultStore]) -> list[Verdict]:
+    """Draw, evaluate and write everything of some finished experiments; returns the verdicts."""
+    for store in stores:
+        draw_figures(store, store.experiment())
+        write_report(store)
+        _copy(store, folder)
+    galleries = shipped_galleries()
+    for name, gallery in galleries.items():
+        draw_gallery(gallery, folder.sub(f"figures/{name}"))
+    verdicts = evaluate(shipped_claims(), stores)
+    claims = claims_table(verdicts)
+    folder.write_with("claims.parquet", lambda path: pq.write_table(claims, path, filesystem=folder.filesystem))
+    folder.write("claims.md", claims_markdown(verdicts).encode())
+    folder.write("report.html", reproduction_page(folder, galleries.values(), stores, verdicts))
+    return verdicts
+
+
+def _copy(store: ResultStore, folder: Folder) -> None:
+    """Summary and figures of an experiment, so that the folder stands for itself."""
+    name = store.experiment().name
+    folder.write(f"tables/{name}.csv", _csv(store.summary()))
+    for file in store.folder.names("figures"):
+        folder.write(f"figures/{name}/{file}", store.folder.read(f"figures/{file}"))
+
+
+def _csv(table: pa.Table) -> bytes:
+    buffer = io.BytesIO()
+    pyarrow.csv.write_csv(table, buffer)
+    return buffer.getvalue()
