@@ -111,7 +111,7 @@ def design_table(predictions: Sequence[Prediction]) -> Table:
 def verdict_table(verdicts: Sequence[Verdict]) -> Table:
     """The ledger of claims, short: its page has the words."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "expected", "runs", "censored"):
+    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "expected", "runs", "at cap"):
         is_text = heading in {"claim", "claimed", "verdict", "expected"}
         table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
     for verdict in verdicts:

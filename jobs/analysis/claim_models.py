@@ -135,7 +135,8 @@ class Claim(_Model):
 
     @model_validator(mode="after")
     def _has_threshold(self) -> Claim:
-        kind: type = {"between": tuple, "every": type(None), "none": type(None)}.get(self.direction, float)
+        kinds: dict[str, type] = {"between": tuple, "every": type(None), "none": type(None)}
+        kind = kinds.get(self.direction, float)
         if not isinstance(self.threshold, kind):
             expected = {"between": "two numbers", "every": "none", "none": "none"}.get(self.direction, "a number")
             message = f"threshold: found {self.threshold}, expected {expected} for {self.direction}"

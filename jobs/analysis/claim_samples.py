@@ -53,7 +53,7 @@ class Selected:
     @property
     def censored(self) -> NDArray[np.bool_]:
         """``bool[runs]``: at any point."""
-        by_run: NDArray[np.bool_] = self.censored_at.reshape(len(self.censored_at), -1).any(axis=1)
+        by_run: NDArray[np.bool_] = np.logical_or.reduce(self.censored_at, axis=(1, 2))
         return by_run
 
 

@@ -106,7 +106,7 @@ def _estimate(statistic: Statistic, results: Results) -> tuple[Estimate[float], 
             meets |= sample.values < statistic.below
         if statistic.censored:
             meets |= selected.censored_at
-        estimate = claim_statistics.share(meets.reshape(len(meets), -1).all(axis=1))
+        estimate = claim_statistics.share(np.logical_and.reduce(meets, axis=(1, 2)))
     elif statistic.theory is not None:
         estimate = claim_statistics.against_theory(
             sample, statistic.of, statistic.over, statistic.theory, statistic.since
@@ -255,9 +255,8 @@ def claims_markdown(verdicts: Sequence[Verdict]) -> str:
     legend = (
         "A claim holds where the whole 95 % interval lies on the claimed side, fails where the whole lies on the "
         "other, and is undecided otherwise. A claim on every run, or on none, fails with the first run that is "
-        "otherwise. "
-        f"Fewer than {MIN_RUNS} runs decide only that. Arms of one experiment share their runs, and are compared in "
-        "pairs. Censored runs count with their cap, which is a lower bound."
+        f"otherwise. Fewer than {MIN_RUNS} runs decide only that. Arms of one experiment share their runs, and are "
+        "compared in pairs. Censored runs count with their cap, which is a lower bound."
     )
     return "\n".join(["# Claims", "", f"{count_line(verdicts)}.", "", legend, "", *lines, ""])
 
@@ -267,8 +266,10 @@ def _claimed(claim: Claim) -> str:
         return f"{claim.threshold[0]:g} to {claim.threshold[1]:g}"
     if claim.threshold is None:
         return {"every": "every run", "none": "no run"}[claim.direction]
-    return f"{claim.direction} {claim.threshold:g}"
+    return f"{'<' if claim.direction == 'below' else '>'} {claim.threshold:g}"
 
 
 def _number(value: float) -> str:
-    return f"{value:,.0f}" if 1000 <= abs(value) < math.inf else f"{value:.4g}"
+    if 1000 <= abs(value) < math.inf:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) >= 1 else f"{value:.3g}"
