@@ -1,0 +1,93 @@
+"""Everything with one command: what it runs, what it writes, and that it goes on where it stopped."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from jobs import reproduction
+from jobs.cli import main
+from jobs.plan import arm_points
+from jobs.reproduction import reproduced_experiments, scaled
+from jobs.spec import load_experiment, shipped_experiments, shipped_galleries
+
+FIGURES = {
+    "3.2", "3.3", "3.4", "4.1", "4.4", "4.5", "4.7", "4.8", "4.11", "4.12", "4.13", "4.14", "4.15", "4.18", "4.19",
+    "4.20",
+}  # fmt: skip
+
+
+def call(*arguments: str) -> int:
+    """Exit code of a command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["apel", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+    return int(caught.value.code or 0)
+
+
+def test_every_tabular_figure_has_a_file() -> None:
+    """Every figure of the dissertation that needs no neural network is reproduced by some file."""
+    experiments = [load_experiment(name) for name in shipped_experiments()]
+    found = {figure for experiment in experiments for figure in experiment.figures}
+    found |= {figure for gallery in shipped_galleries().values() for figure in gallery.figures}
+    assert found == FIGURES
+
+
+def test_scales() -> None:
+    """A scale changes the number of runs, and so no row: a hundred, ten or two; three of thirty are a tenth."""
+    main_job, sweep = load_experiment("distractor-maze"), load_experiment("hyperparameters-train-time")
+    runs = {scale: (scaled(main_job, scale).runs, scaled(sweep, scale).runs) for scale in ("smoke", "tenth", "full")}
+    assert runs == {"smoke": (2, 2), "tenth": (10, 3), "full": (100, 30)}
+    assert scaled(main_job, "smoke").identity == main_job.identity
+
+
+def test_all_experiments_small_ones_first() -> None:
+    """Each shipped experiment is run, and an interruption leaves most of them done."""
+    experiments = reproduced_experiments("full")
+    assert sorted(experiment.name for experiment in experiments) == sorted(shipped_experiments())
+
+    def size(experiment: object) -> int:
+        points = arm_points(experiment, None)  # type: ignore[arg-type]
+        return sum(point.experiment.episodes * len(point.experiment.arms[arm].learner_names) for point, arm in points)
+
+    sizes = [experiment.runs * size(experiment) for experiment in experiments]
+    assert sizes == sorted(sizes)
+
+
+def test_command_writes_everything_and_resumes(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ledger, tables, figures and one page that loads nothing from anywhere; the second call plays no run."""
+    monkeypatch.setattr(reproduction, "shipped_experiments", lambda: {"small-maze": ""})
+    monkeypatch.setattr(reproduction, "load_experiment", lambda _: load_experiment(str(small)))
+    arguments = ("reproduce", "--scale", "smoke", "--placement", "local", "--results", str(tmp_path))
+    assert call(*arguments) == 0
+    assert "small-maze: 6 runs in" in capsys.readouterr().out
+    folder = tmp_path / "reproduction"
+    claims = pd.read_parquet(folder / "claims.parquet")
+    assert set(claims["verdict"]) == {"missing"}  # none is about this experiment
+    assert len(pd.read_csv(folder / "tables" / "small-maze.csv")) == 3
+    pictures = {path.relative_to(folder / "figures").as_posix() for path in folder.rglob("*.png")}
+    assert {
+        "small-maze/train_time.png",
+        "theory/growth.png",
+        "theory/design.png",
+        "example-mazes/mazes.png",
+    } <= pictures
+    page = (folder / "report.html").read_text()
+    assert page.count("<svg") == len(pictures)
+    assert "Ledger of claims" in page
+    for loading in ('src="', "<script", "@import", "<link"):
+        assert loading not in page
+    assert call(*arguments) == 0
+    assert "small-maze: 0 runs in" in capsys.readouterr().out
+
+
+def test_unknown_scale_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line, exit 2."""
+    assert call("reproduce", "--scale", "half") == 2
+    assert "--scale: found 'half', expected smoke, tenth or full" in capsys.readouterr().err
