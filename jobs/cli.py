@@ -258,7 +258,7 @@ def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
 def _draw(store: ResultStore, experiment: Experiment) -> list[str]:
     from jobs.analysis.figures import draw_figures
 
-    return draw_figures(store, experiment.title or experiment.name, experiment.episodes)
+    return draw_figures(store, experiment)
 
 
 def _placement(name: str) -> Placement:

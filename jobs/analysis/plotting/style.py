@@ -1,0 +1,107 @@
+"""One style for all figures: legible in print, in grey and to the colour-blind; the same data give the same file."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from cluster.storage import Folder
+from jobs.spec import Experiment
+
+# Okabe & Ito (2008): colours that remain distinct to the colour-blind; their yellow is too light for a line.
+COLOURS = ("#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#000000", "#7F7F7F", "#0072B2", "#D55E00")
+LINESTYLES = ("-", "--", "-.", ":")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+GREY = "#555555"
+# The two that most figures compare look the same in all of them.
+_FIXED = {"APEL": "#0072B2", "SSBAS": "#D55E00"}
+_OTHERS = "#56B4E9"
+_SINGLE = "#999999"
+_STYLE: Any = {
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 150,
+    "font.size": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.labelsize": 9.5,
+    "axes.titlesize": 9.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "figure.titlesize": 10.5,
+    "hatch.linewidth": 0.8,
+    "svg.hashsalt": "apel",
+}
+
+
+@contextmanager
+def pyplot() -> Iterator[Any]:
+    """Matplotlib without a screen, in this style; what is left open is closed."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    with mpl.rc_context(_STYLE):
+        try:
+            yield plt
+        finally:
+            plt.close("all")
+
+
+def colours(experiment: Experiment) -> dict[str, str]:
+    """A colour for each arm and hindsight arm, the same in all figures of an experiment."""
+    names = [*experiment.arms, *experiment.hindsight]
+    if len(names) > len(COLOURS):
+        return {name: _by_kind(experiment, name) for name in names}
+    free = iter(colour for colour in (*COLOURS, *COLOURS) if colour not in _FIXED.values())
+    if not _FIXED.keys() & set(names):
+        free = iter((*_FIXED.values(), *COLOURS))
+    return {name: _FIXED.get(name) or next(free) for name in names}
+
+
+def _by_kind(experiment: Experiment, name: str) -> str:
+    """Of many arms: those of the two main families, single learners, hindsight, and all others."""
+    for family, colour in _FIXED.items():
+        if name == family or name.startswith(f"{family}_"):
+            return colour
+    if name in experiment.hindsight:
+        return "#000000"
+    return _SINGLE if len(experiment.arms[name].learner_names) == 1 else _OTHERS
+
+
+def title(figure: Any, first: str, second: str = "") -> None:
+    """A title over the whole figure, wrapped to its width; a second, smaller line says how to read it."""
+    characters = int(figure.get_figwidth() * 14)
+    lines = [textwrap.fill(first, characters)] + ([textwrap.fill(second, characters)] if second else [])
+    figure.suptitle("\n".join(lines), linespacing=1.35)
+
+
+def legend(figure: Any, axes: Any, num_columns: int | None = None) -> None:
+    """One legend for a figure, below it, of everything in ``axes`` that has a label."""
+    handles: dict[str, Any] = {}
+    for one in axes:
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if not handles:
+        return
+    widest = max(map(len, handles))
+    fitting = max(1, int(figure.get_figwidth() * 11) // (widest + 7))
+    count = num_columns or min(len(handles), fitting)
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=count)
+
+
+def save(folder: Folder, figure: Any, name: str) -> list[str]:
+    """Write a figure as PNG and SVG; returns where they are."""
+    written = []
+    # Without dates and versions, so that the same results give the same file.
+    for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, metadata=metadata)
+        folder.write(f"{name}.{kind}", buffer.getvalue())
+        written.append(folder.location(f"{name}.{kind}"))
+    return written
