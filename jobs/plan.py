@@ -57,7 +57,7 @@ def arm_points(experiment: Experiment, arms: Collection[str] | None) -> list[tup
     SpecError
         If a combination of swept values is not a valid experiment.
     """
-    content = experiment.model_dump(mode="json", exclude={"sweep"}, exclude_none=True)
+    content = experiment.model_dump(mode="json", exclude={"sweep", "plots"}, exclude_none=True)
     axes, points = _axes(experiment), {}
     wanted = []
     for arm in experiment.arms if arms is None else [arm for arm in experiment.arms if arm in arms]:

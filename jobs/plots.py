@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -71,3 +72,72 @@ class Picture(_Plot):
             message = f"{self.kind}: found no decays, expected at least one"
             raise ValueError(message)
         return self
+
+
+def check_plots(
+    plots: Sequence[ArmPlot | LinePlot | CurvePlot],
+    arms: Collection[str],
+    sweep: Mapping[str, Any],
+    columns: Collection[str],
+) -> None:
+    """Refuse what could never be drawn.
+
+    Parameters
+    ----------
+    plots:
+        Of one experiment.
+    arms:
+        Its arms, and those of its hindsight.
+    sweep:
+        Its axes.
+    columns:
+        By which rows can be told apart: its axes and variables.
+
+    Raises
+    ------
+    ValueError
+        The message opens with the field to be changed.
+    """
+    for number, plot in enumerate(plots):
+        place = f"plots.{number}"
+        for arm in plot.arms:
+            _expect(f"{place}.arms", arm, sorted(arms))
+        for column in plot.where:
+            _expect(f"{place}.where", column, sorted(columns))
+        if isinstance(plot, LinePlot):
+            _check_lines(place, plot, sweep)
+        if isinstance(plot, CurvePlot):
+            _check_curves(place, plot, len(plot.arms or arms))
+    names = [plot.name for plot in plots]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            message = f"plots.{number}.name: found {name!r} for a second time, expected a name of its own"
+            raise ValueError(message)
+
+
+def _check_lines(place: str, plot: LinePlot, sweep: Mapping[str, Any]) -> None:
+    _expect(f"{place}.x", plot.x, sorted(sweep))
+    paths = sweep[plot.x] if isinstance(sweep[plot.x], dict) else [plot.x]
+    if plot.theory and not any(path.endswith(".decay") for path in paths):
+        message = f"{place}.theory: found {plot.theory[0]} over {plot.x!r}, expected an axis of decays"
+        raise ValueError(message)
+    for theory in plot.theory:
+        kind = "adaptation_" if plot.metric == "adaptation_time" else "performance_"
+        if plot.metric == "train_time" or not theory.startswith(kind):
+            message = f"{place}.theory: found {theory} for {plot.metric}, expected theory of what is drawn"
+            raise ValueError(message)
+
+
+def _check_curves(place: str, plot: CurvePlot, num_arms: int) -> None:
+    for panel in plot.panels:
+        if panel in ("concentration", "probability") and num_arms != 1:
+            message = f"{place}.panels: found {panel} of {num_arms} arms, expected exactly one arm"
+            raise ValueError(message)
+    for theory in plot.theory:
+        _expect(f"{place}.theory", theory, ["growth_formula"])
+
+
+def _expect(place: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        message = f"{place}: found {name!r}, expected one of {list(known)}"
+        raise ValueError(message)

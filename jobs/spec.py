@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from apel.metrics import Criterion
 from apel.representations import Representation
 from cluster.shard import Recording
-from jobs.plots import Picture, Plot
+from jobs.plots import Picture, Plot, check_plots
 from jobs.yaml_source import Place, Source, SpecError, parse
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=80)]
@@ -200,6 +200,11 @@ class Experiment(_Model):
                 raise ValueError(message)
         return self
 
+    @model_validator(mode="after")
+    def _drawable(self) -> Experiment:
+        check_plots(self.plots, [*self.arms, *self.hindsight], self.sweep, {*self.sweep, *self.variables})
+        return self
+
     def _expect_known(self, place: str, names: Sequence[str], known: Mapping[str, Any]) -> None:
         for name in names:
             if name not in known:
@@ -373,9 +378,13 @@ def _describe(source: Source, error: Any) -> str:
     if error["type"] in {"value_error", "assertion_error"}:
         message = error["msg"].removeprefix("Value error, ")
         # What concerns several fields is found at the root: its message opens with the field to be changed.
-        where = where if path else source.where(message.partition(":")[0].split("."))
+        where = where if path else source.where(_parts(message.partition(":")[0]))
         return f"{where}: {message}"
     return f"{where}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"
+
+
+def _parts(path: str) -> Place:
+    return tuple(int(part) if part.isdigit() else part for part in path.split("."))
 
 
 def _is_field(part: str | int) -> bool:

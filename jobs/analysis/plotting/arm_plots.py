@@ -15,6 +15,7 @@ from jobs.spec import Experiment
 
 _MOST_UPRIGHT = 8
 _NUM_BINS = 25
+_WIDE = 20
 _HOW_TO_READ = "mean, 95 % interval (thick), standard deviation (thin)"
 
 
@@ -76,14 +77,22 @@ def _lying_bars(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experi
     note = "; right: runs at the cap" if censored else ""
     _title(figure, plot, experiment, f"{count_of_runs(shown)}: {_HOW_TO_READ}{note}")
     figure.supxlabel(NAMES[plot.metric], fontsize=9.5)
+    _explain_colours(figure, experiment)
     return figure
 
 
 def _lying_panel(axes: Any, panel: list[Sample], places: list[int], plot: ArmPlot, experiment: Experiment) -> None:
     palette = style.colours(experiment)
+    is_wide = _is_wide(panel, plot)
+    axes.set_xscale("log" if is_wide else "linear")
+    lowest = 0.7 * min(one.interval[0] for one in panel)
     for place, one in zip(places, panel, strict=True):
-        axes.barh(place, one.mean, height=0.68, color=palette[one.arm], alpha=0.75)
-        axes.errorbar(one.mean, place, xerr=one.deviation, color="#333333", linewidth=0.8, capsize=2)
+        if is_wide:  # a bar's length means nothing on such a scale
+            axes.plot(one.mean, place, "o", ms=7, color=palette[one.arm], markeredgecolor="black", zorder=4)
+        else:
+            axes.barh(place, one.mean, height=0.68, color=palette[one.arm], alpha=0.75)
+        left = one.mean - max(one.mean - one.deviation, lowest) if is_wide else one.deviation
+        axes.errorbar(one.mean, place, xerr=[[left], [one.deviation]], color="#333333", linewidth=0.8, capsize=2)
         axes.plot(one.interval, [place] * 2, color="black", linewidth=3, solid_capstyle="butt")
         if one.num_censored:
             axes.text(
@@ -93,10 +102,31 @@ def _lying_panel(axes: Any, panel: list[Sample], places: list[int], plot: ArmPlo
     limit = cap(experiment, plot.metric)
     if limit is not None:
         axes.axvline(limit, color=style.GREY, linestyle=":", linewidth=1)
+    if is_wide:
+        axes.grid(visible=True, axis="both", color="#DDDDDD", linewidth=0.6)
+        axes.set_axisbelow(True)
+        return
     axes.axvline(0, color="black", linewidth=0.8)
     if plot.metric != "steady_state":
         axes.set_xlim(0, None)
     axes.locator_params(axis="x", nbins=5)
+
+
+def _is_wide(panel: list[Sample], plot: ArmPlot) -> bool:
+    """Whether the longest time would leave the shortest ones no visible bar."""
+    means = [one.mean for one in panel]
+    return plot.metric != "steady_state" and 0 < _WIDE * min(means) < max(means)
+
+
+def _explain_colours(figure: Any, experiment: Experiment) -> None:
+    from matplotlib.patches import Patch
+
+    kinds = style.kinds(experiment)
+    if kinds:
+        handles = [Patch(color=colour, alpha=0.75, label=name) for name, colour in kinds.items()]
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=2 if figure.get_figwidth() < 8 else len(handles)
+        )
 
 
 def _panels(shown: list[Sample]) -> list[list[Sample]]:
@@ -136,6 +166,7 @@ def _distributions(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Exp
         capped = f"  ({one.num_censored} of {len(one.values)} at the cap, hatched)" if one.num_censored else ""
         axes.set_title(f"{label}{capped}", fontsize=9, loc="left", pad=3)
     all_axes[-1, 0].set_xlabel(NAMES[plot.metric])
+    all_axes[-1, 0].set_xlim(edges[0], edges[-1] + 0.01 * (edges[-1] - edges[0]))
     _title(figure, plot, experiment, f"distribution over {count_of_runs(shown)}")
     return figure
 
@@ -144,7 +175,7 @@ def _survival(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experime
     """Share of the runs that are done by an episode, with its 95 % band."""
     figure, axes = plt.subplots(figsize=(6.4, 4.2))
     palette = style.colours(experiment)
-    last = max(cap(experiment, plot.metric) or 0.0, max(one.values.max() for one in shown))
+    last = max(cap(experiment, plot.metric) or 0.0, *(one.values.max() for one in shown))
     variants = {arm: [one.sweep for one in shown if one.arm == arm] for arm in dict.fromkeys(one.arm for one in shown)}
     arms = list(variants)
     for one in shown:

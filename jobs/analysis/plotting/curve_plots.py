@@ -73,8 +73,8 @@ def draw(plt: Any, folder: Folder, runs: Any, plot: CurvePlot, experiment: Exper
             _arms(axes, curves, quantity, plot, experiment)
         axes.set_ylabel(_Y_LABELS[quantity])
         if plot.switch_episode is not None:
-            axes.axvline(plot.switch_episode, color=style.GREY, linestyle="--", linewidth=1, label="switch")
-    axes.set_xlabel("episode")
+            axes.axvline(plot.switch_episode, color=style.GREY, linestyle="--", linewidth=1)
+    axes.set_xlabel("episode" if plot.switch_episode is None else f"episode (dashed: switch at {plot.switch_episode})")
     axes.set_xlim(0, max(each.episodes[-1] for each in curves.values()) + 1)
     _finish(figure, all_axes[:, 0], curves, plot, experiment)
     return figure
@@ -125,7 +125,8 @@ def _learners(axes: Any, curves: dict[Any, _Curves], quantity: str, plot: CurveP
     if quantity == "probability":
         axes.set_ylim(0, 1)
     elif "growth_formula" in plot.theory and not sweep:
-        decay = experiment.arms[arm].selector.options.get("decay") if experiment.arms[arm].selector else None
+        selector = experiment.arms[arm].selector
+        decay = selector.options.get("decay") if selector else None
         if decay is not None:
             _growth(axes, each.episodes, float(decay), plot.switch_episode)
 
@@ -153,9 +154,7 @@ def _growth(axes: Any, episodes: Any, nu: float, switch: int | None) -> None:
     axes.plot(episodes, closed_forms.incremented_concentration(nu, since), **look)
 
 
-def _line(
-    axes: Any, each: _Curves, values: Floats, plot: CurvePlot, label: str, colour: str, number: int
-) -> Floats:
+def _line(axes: Any, each: _Curves, values: Floats, plot: CurvePlot, label: str, colour: str, number: int) -> Floats:
     """Mean and spread where at least half of the runs still go on; returns the means."""
     values = _smoothed(values, plot.smooth)
     known = np.isfinite(values).sum(axis=0)

@@ -95,7 +95,7 @@ def _panel(
         place = variants.index(one.variant)
         colour = palette[one.arm]
         if len(arms) == 1 and len(panel) > 1:
-            colour = ("#0072B2", "#D55E00", *style.COLOURS)[number % 10]
+            colour = ("#0072B2", *style.COLOURS)[number % 7]
         look = arms.index(one.arm) if len(variants) == 1 or is_split else place + 2 * arms.index(one.arm)
         _line(axes, one, colour, look, label=one.arm if is_split else one.label)
     if is_split:

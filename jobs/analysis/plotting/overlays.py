@@ -57,7 +57,13 @@ def _adaptation_model(axes: Any, decays: Floats, frame: Any, experiment: Experim
         )
         times.append(np.minimum(found.episodes, last).mean())
     axes.plot(
-        decays, times, color=GREY, linestyle=":", linewidth=1.8, marker="x", label="selection-aware model, 50-episode window"
+        decays,
+        times,
+        color=GREY,
+        linestyle=":",
+        linewidth=1.8,
+        marker="x",
+        label=f"model, measured criterion (lengths {_LENGTHS[0]:.0f}, {_LENGTHS[1]:.0f})",
     )
 
 
@@ -68,7 +74,7 @@ def _performance(axes: Any, fine: Floats, runs: Any, frame: Any, plot: LinePlot,
     if "performance_formula" in plot.theory:
         models.append(("Eq. 3.14", closed_forms.steady_state_performance, "--"))
         values = [closed_forms.steady_state_performance(nu, best, [other]) for nu in fine]
-        label = f"Eq. 3.14, returns {best:g} and {other:g}"
+        label = f"Eq. 3.14, returns {best:g} and {other:g}".replace("-", "−")
         axes.plot(fine, values, color=GREY, linestyle="-.", linewidth=1.1, label=label)
     if "performance_model" in plot.theory:
         models.append(("selection-aware", selection_aware.steady_state_performance, ":"))

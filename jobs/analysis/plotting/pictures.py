@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from apel.configs import EnvironmentConfig
-from apel.environments.drawing import draw_maze
 from apel.environments.factory import make_world
 from apel.seeding import run_seeds
 from apel.theory import closed_forms, curves, selection_aware
@@ -50,7 +49,7 @@ def _growth(plt: Any, picture: Picture) -> Any:
     left.set(xlabel="episode", ylabel="concentration α", title="(a) concentration of the best learner")
     _probabilities(right, curves.growth_moments(_SHOWN_DECAY, picture.episodes), ("optimal", "suboptimal"))
     right.set_title(f"(b) selection probability, ν = {_SHOWN_DECAY:g}")
-    left.legend(loc="upper left", ncols=2)
+    _legend_below(left)
     style.title(figure, "Growth of the concentration parameters (theory)", "dashed verticals: 90 % of the steady state")
     return figure
 
@@ -65,7 +64,7 @@ def _adaptation(plt: Any, picture: Picture) -> Any:
         left.plot(pair.old_best, **look | {"alpha": 0.55})
     left.set(xlabel="episodes after the switch", ylabel="concentration / steady state")
     left.set_title("(a) concentrations: old best from 1, new best from about ν")
-    left.legend(loc="center right")
+    _legend_below(left)
     _probabilities(right, curves.switch_moments(_SHOWN_DECAY, picture.episodes), ("old best", "new best"))
     right.set_title(f"(b) selection probability, ν = {_SHOWN_DECAY:g}")
     right.set_xlabel("episodes after the switch")
@@ -83,7 +82,12 @@ def _design(plt: Any, picture: Picture) -> Any:
     # From 1/3 on neither of two learners keeps a lead: there is nothing to wait for.
     aware = [nu for nu in fine if nu < 1 / 3]
     panels = (
-        (left, "Eq. 3.11", curves.adaptation_times(list(fine)), [selection_aware.adaptation_time(nu, 2) for nu in aware]),
+        (
+            left,
+            "Eq. 3.11",
+            curves.adaptation_times(list(fine)),
+            [selection_aware.adaptation_time(nu, 2) for nu in aware],
+        ),
         (right, "Eq. 3.12", curves.rise_times(list(fine)), [selection_aware.rise_time(nu, 2) for nu in aware]),
     )
     for axes, equation, formula, model in panels:
@@ -100,6 +104,10 @@ def _design(plt: Any, picture: Picture) -> Any:
     return figure
 
 
+def _legend_below(axes: Any) -> None:
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+
+
 def _look(number: int) -> dict[str, Any]:
     linestyle = style.LINESTYLES[number % len(style.LINESTYLES)]
     return {"color": _COLOURS[number % len(_COLOURS)], "linestyle": linestyle, "linewidth": 1.6}
@@ -113,7 +121,7 @@ def _probabilities(axes: Any, moments: curves.Moments, labels: tuple[str, str]) 
         axes.plot(mean, label=label, **look)
         axes.fill_between(episodes, mean - spread, mean + spread, color=look["color"], alpha=0.18, linewidth=0)
     axes.set(xlabel="episode", ylabel="probability (mean ± SD)", ylim=(0, 1), xlim=(0, episodes[-1]))
-    axes.legend(loc="center right")
+    _legend_below(axes)
 
 
 def _mazes(plt: Any, picture: Picture, gallery: Gallery) -> Any:
@@ -136,16 +144,26 @@ def _mazes(plt: Any, picture: Picture, gallery: Gallery) -> Any:
 
 
 def _maze(axes: Any, maze: Any) -> None:
+    from matplotlib.collections import LineCollection
+
     size, start, goal = maze.size, maze.start_cell, maze.goal_cell
-    image = draw_maze(maze.passages, size, start, goal, start)
-    cells = _shortest_path(maze.passages, size, start, goal)
-    scale = (image.shape[0] - 1) / size
-    x, y = ((np.array(part) + 0.5) * scale for part in ([c // size for c in cells], [c % size for c in cells]))
-    axes.imshow(image, interpolation="nearest")
+    cells = np.array(_shortest_path(maze.passages, size, start, goal))
+    x, y = cells // size + 0.5, cells % size + 0.5
+    axes.add_collection(LineCollection(_walls(maze.passages, size), colors="black", linewidths=1.3, capstyle="round"))
     axes.plot(x, y, color="#D55E00", linewidth=1.5, label="shortest path")
-    axes.plot(x[:1], y[:1], "o", ms=7, color="#0072B2", linestyle="", label="start")
-    axes.plot(x[-1:], y[-1:], "s", ms=7, color="#009E73", linestyle="", label="goal")
+    axes.plot(x[:1], y[:1], "o", ms=8, color="#0072B2", linestyle="", label="start")
+    axes.plot(x[-1:], y[-1:], "s", ms=8, color="#009E73", linestyle="", label="goal")
+    axes.set(xlim=(-0.1, size + 0.1), ylim=(size + 0.1, -0.1), aspect="equal")
     axes.set_title(f"{len(cells) - 1} moves", fontsize=9, pad=2)
+
+
+def _walls(passages: Any, size: int) -> list[Any]:
+    """Every closed side of every cell, from corner to corner."""
+    sides = (((0, 0), (1, 0)), ((1, 0), (1, 1)), ((0, 1), (1, 1)), ((0, 0), (0, 1)))  # up, right, down, left
+    return [
+        [(cell // size + x, cell % size + y) for x, y in sides[direction]]
+        for cell, direction in zip(*np.nonzero(~passages), strict=True)
+    ]
 
 
 def _shortest_path(passages: Any, size: int, start: int, goal: int) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -86,7 +87,9 @@ def sample(rows: Any, metric: Metric) -> Sample:
 
 def cap(experiment: Experiment, metric: Metric) -> float | None:
     """The longest time that a run can have; None where sweep points differ, and where there is none."""
-    swept = {path for axis, paths in experiment.sweep.items() for path in (paths if isinstance(paths, dict) else [axis])}
+    swept = {
+        path for axis, paths in experiment.sweep.items() for path in (paths if isinstance(paths, dict) else [axis])
+    }
     if metric == "steady_state" or experiment.criterion is None or swept & {"episodes", "criterion.after"}:
         return None
     return float(experiment.episodes - (experiment.criterion.after if metric == "adaptation_time" else 0))
@@ -99,7 +102,7 @@ def count_of_runs(all_samples: Sequence[Sample]) -> str:
 
 
 def _is_wanted(found: Any, values: Sequence[Any]) -> bool:
-    if found is None or found != found:  # noqa: PLR0124 - NaN
+    if found is None or (isinstance(found, float) and math.isnan(found)):
         return True
     return any(str(found) == str(value) or _is_same_number(found, value) for value in values)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,15 +12,15 @@ from typing import Any
 from cluster.storage import Folder
 from jobs.spec import Experiment
 
-# Okabe & Ito (2008): colours that remain distinct to the colour-blind; their yellow is too light for a line.
-COLOURS = ("#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#000000", "#7F7F7F", "#0072B2", "#D55E00")
+# Okabe & Ito (2008): colours that remain distinct to the colour-blind; their yellow is too light for a line, and on
+# their black no interval could be seen.
+COLOURS = ("#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#882255", "#7F7F7F", "#0072B2", "#D55E00")
 LINESTYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GREY = "#555555"
 # The two that most figures compare look the same in all of them.
 _FIXED = {"APEL": "#0072B2", "SSBAS": "#D55E00"}
-_OTHERS = "#56B4E9"
-_SINGLE = "#999999"
+_KINDS = {"single learners": "#999999", "hindsight": "#CC79A7", "other selectors": "#56B4E9"}
 _STYLE: Any = {
     "figure.constrained_layout.use": True,
     "figure.dpi": 150,
@@ -32,7 +33,7 @@ _STYLE: Any = {
     "ytick.labelsize": 8.5,
     "legend.fontsize": 8.5,
     "legend.frameon": False,
-    "figure.titlesize": 10.5,
+    "figure.titlesize": 10,
     "hatch.linewidth": 0.8,
     "svg.hashsalt": "apel",
 }
@@ -58,9 +59,9 @@ def colours(experiment: Experiment) -> dict[str, str]:
     names = [*experiment.arms, *experiment.hindsight]
     if len(names) > len(COLOURS):
         return {name: _by_kind(experiment, name) for name in names}
-    free = iter(colour for colour in (*COLOURS, *COLOURS) if colour not in _FIXED.values())
+    free = itertools.cycle([colour for colour in COLOURS if colour not in _FIXED.values()])
     if not _FIXED.keys() & set(names):
-        free = iter((*_FIXED.values(), *COLOURS))
+        free = itertools.cycle([*_FIXED.values(), *COLOURS[:-2]])
     return {name: _FIXED.get(name) or next(free) for name in names}
 
 
@@ -70,13 +71,22 @@ def _by_kind(experiment: Experiment, name: str) -> str:
         if name == family or name.startswith(f"{family}_"):
             return colour
     if name in experiment.hindsight:
-        return "#000000"
-    return _SINGLE if len(experiment.arms[name].learner_names) == 1 else _OTHERS
+        return _KINDS["hindsight"]
+    return _KINDS["single learners" if len(experiment.arms[name].learner_names) == 1 else "other selectors"]
+
+
+def kinds(experiment: Experiment) -> dict[str, str]:
+    """What the colours of `colours` stand for, where several arms share one; otherwise nothing."""
+    found = colours(experiment)
+    if len(set(found.values())) == len(found):
+        return {}
+    named = {**{f"{family} and its variants": colour for family, colour in _FIXED.items()}, **_KINDS}
+    return {name: colour for name, colour in named.items() if colour in found.values()}
 
 
 def title(figure: Any, first: str, second: str = "") -> None:
     """A title over the whole figure, wrapped to its width; a second, smaller line says how to read it."""
-    characters = int(figure.get_figwidth() * 14)
+    characters = int(figure.get_figwidth() * 11.5)
     lines = [textwrap.fill(first, characters)] + ([textwrap.fill(second, characters)] if second else [])
     figure.suptitle("\n".join(lines), linespacing=1.35)
 
@@ -90,7 +100,7 @@ def legend(figure: Any, axes: Any, num_columns: int | None = None) -> None:
     if not handles:
         return
     widest = max(map(len, handles))
-    fitting = max(1, int(figure.get_figwidth() * 11) // (widest + 7))
+    fitting = max(1, int(figure.get_figwidth() * 13.5) // (widest + 7))
     count = num_columns or min(len(handles), fitting)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=count)
 

@@ -1,0 +1,196 @@
+"""Figures: every kind is drawn, from the rows that it asks for, and always alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from PIL import Image
+
+from cluster.storage import Folder
+from jobs.analysis.figures import draw_figures, draw_gallery
+from jobs.analysis.plotting.curve_plots import _smoothed
+from jobs.analysis.plotting.samples import samples, selected
+from jobs.plots import ArmPlot
+from jobs.runner import Settings, run_experiment
+from jobs.spec import Experiment, Gallery, load_experiment, shipped_experiments, shipped_galleries
+from jobs.store import ResultStore
+from jobs.yaml_source import SpecError
+
+SPEC = """
+name: synthetic
+runs: 8
+episodes: 100
+environment: {id: apel/Maze-v0}
+learners:
+  Q_1: {type: q_learning}
+  Q_2: {type: q_learning, learning_rate: 0.2}
+arms:
+  Q_1: {learners: [Q_1]}
+  Q_2: {learners: [Q_2]}
+  APEL: {learners: [Q_1, Q_2], selector: {type: apel, decay: 0.01}}
+hindsight: {oracle: [Q_1, Q_2]}
+sweep:
+  decay: {arms.APEL.selector.decay: [0.0, 0.01, 0.1]}
+  window: {criterion.window: [10, 20]}
+criterion: {measure: length, window: 10, below: 20, after: 20}
+steady_state_episodes: 10
+record: none
+plots:
+"""
+
+EPISODES = """
+  - {kind: curves, name: learners, arms: [APEL], panels: [return, length, concentration, probability],
+     switch_episode: 30, theory: [growth_formula]}
+  - {kind: curves, name: arms, panels: [return], smooth: 5}
+"""
+
+
+def write_spec(path: Path, plots: str) -> str:
+    """The file of the synthetic experiment with these plots."""
+    file = path / "synthetic.yaml"
+    file.write_text(SPEC + plots)
+    return str(file)
+
+
+def synthetic(path: Path, plots: str) -> tuple[ResultStore, Experiment]:
+    """Made-up rows of the synthetic experiment."""
+    draws = np.random.default_rng(0)
+    rows = []
+    for arm, decays in (("Q_1", [None]), ("Q_2", [None]), ("APEL", [0.0, 0.01, 0.1]), ("oracle", [None])):
+        for decay in decays:
+            for window in (10, 20):
+                label = f"window={window}" if decay is None else f"decay={decay}, window={window}"
+                for run, time in enumerate(draws.integers(30, 120, 8)):
+                    rows.append(
+                        {
+                            "arm": arm,
+                            "sweep": label,
+                            "run_index": run,
+                            "train_time": min(int(time), 100),
+                            "censored": bool(time > 100),
+                            "adaptation_time": min(int(time), 100) - 20,
+                            "steady_state": -float(time) * (10 if arm == "Q_2" else 1),
+                            "decay": decay,
+                            "window": window,
+                        }
+                    )
+    store = ResultStore(Folder(str(path / "results")))
+    store.write_table("runs.parquet", pa.Table.from_pylist(rows))
+    return store, load_experiment(write_spec(path, plots))
+
+
+def pictures(paths: list[str]) -> dict[str, bytes]:
+    """Content by file name; every PNG shows something."""
+    for path in paths:
+        if path.endswith(".png"):
+            assert np.asarray(Image.open(path).convert("L")).std() > 10
+    return {Path(path).name: Path(path).read_bytes() for path in paths}
+
+
+PLOTS = """
+  - {kind: bars, name: upright, where: {window: [10], decay: [0.01]}}
+  - {kind: bars, name: lying, metric: steady_state}
+  - {kind: bars, name: panels, arms: [Q_1, Q_2, oracle, APEL], metric: adaptation_time}
+  - {kind: distributions, name: distributions, arms: [oracle, Q_1], metric: adaptation_time}
+  - {kind: survival, name: survival, arms: [APEL]}
+  - {kind: lines, name: over_decay, x: decay, x_scale: log, y_scale: log, metric: adaptation_time,
+     arms: [APEL], theory: [adaptation_formula, adaptation_model]}
+  - {kind: lines, name: level, x: decay, metric: steady_state, theory: [performance_formula, performance_model]}
+  - {kind: lines, name: split, x: window, metric: train_time}
+"""
+
+
+def test_every_kind_over_arms_is_drawn(tmp_path: Path) -> None:
+    """PNG and SVG of every plot, byte for byte the same when drawn again."""
+    store, experiment = synthetic(tmp_path, PLOTS)
+    first = pictures(draw_figures(store, experiment))
+    assert set(first) == {f"{plot.name}.{kind}" for plot in experiment.plots for kind in ("png", "svg")}
+    assert pictures(draw_figures(store, experiment)) == first
+    assert b"<dc:date>" not in first["upright.svg"]
+
+
+def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> None:
+    """Of arms, of learners; nothing where no episodes were recorded."""
+    small.write_text(small.read_text() + "plots:" + EPISODES)
+    experiment = load_experiment(str(small))
+    settings = Settings(results=str(tmp_path / "results"), placement="local")
+    store = run_experiment(experiment, settings).store
+    first = pictures(draw_figures(store, experiment))
+    assert set(first) == {"learners.png", "learners.svg", "arms.png", "arms.svg"}
+    assert pictures(draw_figures(store, experiment)) == first
+    store.folder.delete_folder("episodes")
+    assert draw_figures(store, experiment) == []
+
+
+def test_train_times_are_drawn_where_nothing_is_named(tmp_path: Path) -> None:
+    """Bars and distributions; nothing where an experiment has no criterion either."""
+    store, experiment = synthetic(tmp_path, " []")
+    drawn = pictures(draw_figures(store, experiment))
+    assert {"train_time.png", "train_time_distribution.svg"} < set(drawn)
+    assert draw_figures(store, experiment.model_copy(update={"criterion": None})) == []
+
+
+def test_rows_are_picked_and_ordered(tmp_path: Path) -> None:
+    """`arms` orders; `where` compares numbers and text alike, and keeps rows without a value."""
+    store, experiment = synthetic(tmp_path, " []")
+    plot = ArmPlot(kind="bars", name="x", arms=["oracle", "APEL"], where={"decay": ["0.010", 0.1], "window": ["10"]})
+    shown = samples(selected(store.runs(), plot, experiment), "adaptation_time")
+    assert [one.label for one in shown] == [
+        "oracle\nwindow=10",
+        "APEL\ndecay=0.01, window=10",
+        "APEL\ndecay=0.1, window=10",
+    ]
+    runs = store.runs().to_pandas()
+    rows = runs[(runs["arm"] == "oracle") & (runs["window"] == 10)]
+    assert shown[0].mean == pytest.approx(rows["adaptation_time"].mean())
+    assert shown[0].num_censored == rows["censored"].sum()
+
+
+def test_moving_mean_is_of_each_run() -> None:
+    """Of the last values, fewer at the beginning; what is unknown stays so and does not count."""
+    values = np.array([[1.0, 3.0, 5.0, 7.0], [2.0, np.nan, 4.0, 8.0]])
+    np.testing.assert_array_equal(_smoothed(values, 2), [[1.0, 2.0, 4.0, 6.0], [2.0, np.nan, 4.0, 6.0]])
+
+
+def test_galleries_are_drawn(tmp_path: Path) -> None:
+    """Every picture that ships, and the same again."""
+    galleries = shipped_galleries().values()
+    first = [pictures(draw_gallery(gallery, Folder(str(tmp_path)))) for gallery in galleries]
+    assert {name for drawn in first for name in drawn if name.endswith("png")} == {
+        f"{picture.name}.png" for gallery in galleries for picture in gallery.pictures
+    }
+    theory: Gallery = shipped_galleries()["theory"]
+    assert pictures(draw_gallery(theory, Folder(str(tmp_path)))) in first
+
+
+@pytest.mark.parametrize(
+    ("plot", "message"),
+    [
+        ("{kind: bars, name: a, arms: [Q_3]}", "plots.0.arms: found 'Q_3', expected one of ['APEL', 'Q_1'"),
+        ("{kind: bars, name: a, where: {decays: [0.1]}}", "plots.0.where: found 'decays', expected one of ['decay'"),
+        ("{kind: lines, name: a, metric: train_time, x: nu}", "plots.0.x: found 'nu', expected one of ['decay', 'wi"),
+        ("{kind: lines, name: a, metric: adaptation_time, x: window, theory: [adaptation_model]}", "an axis of decays"),
+        ("{kind: lines, name: a, metric: steady_state, x: decay, theory: [adaptation_model]}", "of what is drawn"),
+        ("{kind: curves, name: a, panels: [concentration]}", "found concentration of 4 arms, expected exactly one arm"),
+        (
+            "{kind: curves, name: a, panels: [return], theory: [performance_model]}",
+            "expected one of ['growth_formula']",
+        ),
+        ("{kind: bars, name: a}\n  - {kind: bars, name: a}", "plots.1.name: found 'a' for a second time"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path, plot: str, message: str) -> None:
+    """One line, with the line of the file."""
+    with pytest.raises(SpecError) as caught:
+        load_experiment(write_spec(tmp_path, f"  - {plot}"))
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert "synthetic.yaml:2" in str(caught.value)
+
+
+def test_shipped_plots_can_be_drawn() -> None:
+    """Names and axes of all of them are known."""
+    assert all(load_experiment(name).plots for name in shipped_experiments())
