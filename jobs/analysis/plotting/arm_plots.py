@@ -16,7 +16,7 @@ from jobs.spec import Experiment
 _MOST_UPRIGHT = 8
 _NUM_BINS = 25
 _WIDE = 20
-_HOW_TO_READ = "mean, 95 % interval (thick), standard deviation (thin)"
+_HOW_TO_READ = "mean, 95 % interval (thick), SD (thin)"
 
 
 def draw(plt: Any, runs: Any, plot: ArmPlot, experiment: Experiment) -> Any:
@@ -76,7 +76,8 @@ def _lying_bars(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experi
     censored = any(one.num_censored for one in shown)
     note = "; right: runs at the cap" if censored else ""
     _title(figure, plot, experiment, f"{count_of_runs(shown)}: {_HOW_TO_READ}{note}")
-    figure.supxlabel(NAMES[plot.metric], fontsize=9.5)
+    for axes in all_axes[0]:
+        axes.set_xlabel(NAMES[plot.metric])
     _explain_colours(figure, experiment)
     return figure
 

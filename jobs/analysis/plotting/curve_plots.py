@@ -92,7 +92,7 @@ def _read(folder: Folder, arm: str, sweep: str, plot: CurvePlot) -> Any:
 def _finish(figure: Any, all_axes: Any, curves: dict[Any, _Curves], plot: CurvePlot, experiment: Experiment) -> None:
     num_runs = max(each.num_runs for each in curves.values())
     smooth = f", moving mean of {plot.smooth} recorded episodes" if plot.smooth > 1 else ""
-    how = f"mean of {num_runs} runs (line) ± standard deviation (shaded){smooth}"
+    how = f"mean of {num_runs} runs (line) ± SD (shaded){smooth}"
     if {"return", "length"} & set(plot.panels) and len(plot.panels) > 1:
         for axes in all_axes:
             if axes.get_legend_handles_labels()[0]:

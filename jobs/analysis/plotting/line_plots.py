@@ -152,6 +152,6 @@ def _finish(figure: Any, axes: Any, series: list[_Series], plot: LinePlot, exper
     if plot.y_scale == "linear" and plot.metric != "steady_state":
         axes[0].set_ylim(0, None)
     note = "; open markers: some runs at the cap" if any(one.num_censored for one in every) else ""
-    how = f"mean of {count_of_runs(every)}, 95 % interval (shaded), standard deviation (thin lines){note}"
+    how = f"mean of {count_of_runs(every)}, 95 % interval (shaded), SD (thin lines){note}"
     style.title(figure, plot.title or experiment.title or experiment.name, how)
     style.legend(figure, axes)

@@ -49,7 +49,7 @@ def _growth(plt: Any, picture: Picture) -> Any:
     left.set(xlabel="episode", ylabel="concentration α", title="(a) concentration of the best learner")
     _probabilities(right, curves.growth_moments(_SHOWN_DECAY, picture.episodes), ("optimal", "suboptimal"))
     right.set_title(f"(b) selection probability, ν = {_SHOWN_DECAY:g}")
-    _legend_below(left)
+    _legend_below(left, 3)
     style.title(figure, "Growth of the concentration parameters (theory)", "dashed verticals: 90 % of the steady state")
     return figure
 
@@ -64,7 +64,7 @@ def _adaptation(plt: Any, picture: Picture) -> Any:
         left.plot(pair.old_best, **look | {"alpha": 0.55})
     left.set(xlabel="episodes after the switch", ylabel="concentration / steady state")
     left.set_title("(a) concentrations: old best from 1, new best from about ν")
-    _legend_below(left)
+    _legend_below(left, 4)
     _probabilities(right, curves.switch_moments(_SHOWN_DECAY, picture.episodes), ("old best", "new best"))
     right.set_title(f"(b) selection probability, ν = {_SHOWN_DECAY:g}")
     right.set_xlabel("episodes after the switch")
@@ -104,8 +104,8 @@ def _design(plt: Any, picture: Picture) -> Any:
     return figure
 
 
-def _legend_below(axes: Any) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+def _legend_below(axes: Any, num_columns: int) -> None:
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=num_columns)
 
 
 def _look(number: int) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def _probabilities(axes: Any, moments: curves.Moments, labels: tuple[str, str]) 
         axes.plot(mean, label=label, **look)
         axes.fill_between(episodes, mean - spread, mean + spread, color=look["color"], alpha=0.18, linewidth=0)
     axes.set(xlabel="episode", ylabel="probability (mean ± SD)", ylim=(0, 1), xlim=(0, episodes[-1]))
-    _legend_below(axes)
+    _legend_below(axes, 2)
 
 
 def _mazes(plt: Any, picture: Picture, gallery: Gallery) -> Any:

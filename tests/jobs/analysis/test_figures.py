@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pytest
 from PIL import Image
 
@@ -95,7 +96,7 @@ PLOTS = """
   - {kind: bars, name: lying, metric: steady_state}
   - {kind: bars, name: panels, arms: [Q_1, Q_2, oracle, APEL], metric: adaptation_time}
   - {kind: distributions, name: distributions, arms: [oracle, Q_1], metric: adaptation_time}
-  - {kind: survival, name: survival, arms: [APEL]}
+  - {kind: survival, name: survival, arms: [Q_1, oracle]}
   - {kind: lines, name: over_decay, x: decay, x_scale: log, y_scale: log, metric: adaptation_time,
      arms: [APEL], theory: [adaptation_formula, adaptation_model]}
   - {kind: lines, name: level, x: decay, metric: steady_state, theory: [performance_formula, performance_model]}
@@ -108,8 +109,10 @@ def test_every_kind_over_arms_is_drawn(tmp_path: Path) -> None:
     store, experiment = synthetic(tmp_path, PLOTS)
     first = pictures(draw_figures(store, experiment))
     assert set(first) == {f"{plot.name}.{kind}" for plot in experiment.plots for kind in ("png", "svg")}
-    assert pictures(draw_figures(store, experiment)) == first
     assert b"<dc:date>" not in first["upright.svg"]
+    some = [plot for plot in experiment.plots if plot.name in ("upright", "over_decay")]
+    again = pictures(draw_figures(store, experiment.model_copy(update={"plots": some})))
+    assert again.items() <= first.items()
 
 
 def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> None:
@@ -118,9 +121,8 @@ def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> N
     experiment = load_experiment(str(small))
     settings = Settings(results=str(tmp_path / "results"), placement="local")
     store = run_experiment(experiment, settings).store
-    first = pictures(draw_figures(store, experiment))
-    assert set(first) == {"learners.png", "learners.svg", "arms.png", "arms.svg"}
-    assert pictures(draw_figures(store, experiment)) == first
+    drawn = pictures(draw_figures(store, experiment))
+    assert set(drawn) == {"learners.png", "learners.svg", "arms.png", "arms.svg"}
     store.folder.delete_folder("episodes")
     assert draw_figures(store, experiment) == []
 
@@ -128,6 +130,8 @@ def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> N
 def test_train_times_are_drawn_where_nothing_is_named(tmp_path: Path) -> None:
     """Bars and distributions; nothing where an experiment has no criterion either."""
     store, experiment = synthetic(tmp_path, " []")
+    runs = store.runs()
+    store.write_table("runs.parquet", runs.filter(pa.compute.equal(runs["arm"], "oracle")))
     drawn = pictures(draw_figures(store, experiment))
     assert {"train_time.png", "train_time_distribution.svg"} < set(drawn)
     assert draw_figures(store, experiment.model_copy(update={"criterion": None})) == []
@@ -163,7 +167,9 @@ def test_galleries_are_drawn(tmp_path: Path) -> None:
         f"{picture.name}.png" for gallery in galleries for picture in gallery.pictures
     }
     theory: Gallery = shipped_galleries()["theory"]
-    assert pictures(draw_gallery(theory, Folder(str(tmp_path)))) in first
+    growth = theory.model_copy(update={"pictures": theory.pictures[:1]})
+    again = pictures(draw_gallery(growth, Folder(str(tmp_path))))
+    assert any(again.items() <= drawn.items() for drawn in first)
 
 
 @pytest.mark.parametrize(
