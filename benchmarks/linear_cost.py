@@ -4,7 +4,9 @@ Processor time of one process (the coordinator and its hosts in local placement,
 to the last row), so that other work on the machine disturbs little. What is measured is the distractor maze with APEL
 and steps at random only: episodes are then about equally long, early and late, and a job is as large as its numbers
 say. A second series of episodes learns as the shipped experiment does; there episodes get shorter, and the time per
-step is what counts. Written to benchmarks/results/, drawn to docs/.
+step is what counts. The number of learners is varied in ten runs, and in the hundred that a shard has at most: in every
+round each learner hears of all others, which costs nearly the same for one run as for many. Written to
+benchmarks/results/, drawn to docs/.
 """
 
 from __future__ import annotations
@@ -37,10 +39,11 @@ LEARN = ("stop_when_met=false", "environment.options.max_steps=300")
 RANDOM = (*LEARN, "learners.Q_full.exploration=1.0", "learners.Q_red.exploration=1.0")
 SERIES: dict[str, tuple[str, list[int], tuple[str, ...]]] = {
     # The axis, its values, and what else is set.
-    "runs": ("runs", [5, 10, 20, 40], ("episodes=1000", *RANDOM)),
+    "runs": ("runs", [5, 10, 20, 40, 80], ("episodes=1000", *RANDOM)),
     "episodes": ("episodes", [500, 1000, 2000, 4000, 8000], ("runs=10", *RANDOM)),
     "episodes, learning": ("episodes", [500, 1000, 2000, 4000, 8000], ("runs=10", *LEARN)),
     "learners": ("arms.APEL.learners", [1, 2, 4, 8, 16], ("runs=10", "episodes=500", *RANDOM)),
+    "learners, 100 runs": ("arms.APEL.learners", [1, 2, 4, 8, 16], ("runs=100", "episodes=100", *RANDOM)),
 }
 BLUE, ORANGE, GREY = "#0072B2", "#E69F00", "#7f7f7f"
 
@@ -87,6 +90,12 @@ def slope(values: list[int], costs: list[float]) -> float:
     return float(np.polyfit(np.log(values), np.log(costs), 1)[0])
 
 
+def fixed_and_each(values: list[int], costs: list[float]) -> tuple[float, float]:
+    """Of the line with the least relative error: what a job costs whatever its size, and what each unit adds."""
+    each, fixed = np.polyfit(values, costs, 1, w=1 / np.array(costs))
+    return float(fixed), float(each)
+
+
 def measure_series(path: str, values: list[int], fixed: tuple[str, ...], repeats: int) -> dict[str, Any]:
     """Medians at every value; the values in turn, since machines have better and worse minutes."""
     seconds: dict[int, list[float]] = {value: [] for value in values}
@@ -97,7 +106,8 @@ def measure_series(path: str, values: list[int], fixed: tuple[str, ...], repeats
             seconds[value].append(taken)
     medians = [statistics.median(seconds[value]) for value in values]
     counts = [steps[value] for value in values]
-    a_learner = values if path.endswith(".learners") else [2] * len(values)
+    fixed_seconds, each_seconds = fixed_and_each(values, medians)
+    num_learners = values if path.endswith(".learners") else [2] * len(values)
     return {
         "fixed": list(fixed),
         "values": values,
@@ -106,10 +116,11 @@ def measure_series(path: str, values: list[int], fixed: tuple[str, ...], repeats
         "environment_steps": counts,
         "nanoseconds_per_step": [s / n * 1e9 for s, n in zip(medians, counts, strict=True)],
         "nanoseconds_per_step_and_learner": [
-            s / n / k * 1e9 for s, n, k in zip(medians, counts, a_learner, strict=True)
+            s / n / k * 1e9 for s, n, k in zip(medians, counts, num_learners, strict=True)
         ],
+        "line": {"fixed_seconds": fixed_seconds, "seconds_each": each_seconds},
         "log_log_slope": slope(values, medians),
-        "log_log_slope_by_steps": slope(counts, medians) if len(set(a_learner)) == 1 else None,
+        "log_log_slope_by_steps": slope(counts, medians) if len(set(num_learners)) == 1 else None,
     }
 
 
@@ -137,34 +148,37 @@ def draw_series(axes: Any, series: dict[str, Any], colour: str, label: str) -> N
     """Measured points and the line of slope 1 through their middle, in logarithms."""
     values, seconds = np.array(series["values"], float), np.array(series["median_processor_seconds"])
     level = np.exp(np.mean(np.log(seconds / values)))
-    axes.plot(values, level * values, "--", color=GREY, linewidth=1, zorder=1)
-    axes.plot(values, seconds, "o", color=colour, label=f"{label} (slope {series['log_log_slope']:.2f})")
+    by_steps = series["log_log_slope_by_steps"]
+    note = f", {by_steps:.2f} by steps" if by_steps is not None and label == "learning" else ""
+    axes.plot(values, level * values, "--", color=colour, alpha=0.6, linewidth=1, zorder=1)
+    axes.plot(values, seconds, "o", color=colour, label=f"{label} (slope {series['log_log_slope']:.2f}{note})")
 
 
-def draw_costs(figure: Any, grid: Any, record: dict[str, Any]) -> None:
+def draw_costs(figure: Any, grid: Any, series: dict[str, Any]) -> None:
     """A panel each for runs, episodes and learners, with a common scale of time."""
-    fixed = {
-        "runs": "1,000 episodes, 2 learners",
-        "episodes": "10 runs, 2 learners",
-        "learners": "10 runs, 500 episodes",
+    contents = {
+        "runs": ("1,000 episodes, 2 learners", [("runs", "steps at random")]),
+        "episodes": ("10 runs, 2 learners", [("episodes", "steps at random"), ("episodes, learning", "learning")]),
+        "learners": (
+            "runs × episodes, copies of one learner",
+            [("learners", "10 × 500"), ("learners, 100 runs", "100 × 100")],
+        ),
     }
     panels: list[Any] = []
-    for place, (name, note) in enumerate(fixed.items()):
+    for place, (axis, (title, drawn)) in enumerate(contents.items()):
         axes = figure.add_subplot(grid[0, place], sharey=panels[0] if panels else None)
         panels.append(axes)
-        series = record["series"]
-        draw_series(axes, series[name], BLUE, "steps at random")
-        if name == "episodes":
-            draw_series(axes, series["episodes, learning"], ORANGE, "learning")
+        for (name, label), colour in zip(drawn, (BLUE, ORANGE), strict=False):
+            draw_series(axes, series[name], colour, label)
         axes.plot([], [], "--", color=GREY, linewidth=1, label="in proportion (slope 1)")
-        axes.set(xscale="log", yscale="log", xlabel=name, title=note)
-        axes.set_xticks(series[name]["values"], [f"{value:,}" for value in series[name]["values"]])
+        axes.set(xscale="log", yscale="log", xlabel=axis, title=title)
+        axes.set_xticks(series[axis]["values"], [f"{value:,}" for value in series[axis]["values"]])
         axes.minorticks_off()
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8, loc="upper left", framealpha=1)
     panels[0].set_ylabel("processor seconds")
     low, high = panels[0].get_ylim()
-    panels[0].set_ylim(low, high * 4)  # room for the legends
+    panels[0].set_ylim(low, high * 5)  # room for the legends
     panels[0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
@@ -187,7 +201,7 @@ def draw(record: dict[str, Any], selectors: dict[str, Any], stem: Path) -> None:
     with plt.rc_context({"font.size": 10, "axes.titlesize": 10, "svg.hashsalt": "apel"}):
         figure = plt.figure(figsize=(11, 7.6), layout="constrained")
         grid = figure.add_gridspec(2, 3)
-        draw_costs(figure, grid, record)
+        draw_costs(figure, grid, record["series"])
         draw_selectors(figure.add_subplot(grid[1, :]), selectors)
         figure.savefig(stem.with_suffix(".png"), dpi=130)
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
@@ -199,7 +213,8 @@ def show(record: dict[str, Any]) -> None:
     for name, series in record["series"].items():
         by_steps = series["log_log_slope_by_steps"]
         more = "" if by_steps is None else f", {by_steps:.3f} against steps"
-        print(f"{name}: slope {series['log_log_slope']:.3f}{more}")
+        fixed, each = series["line"]["fixed_seconds"], series["line"]["seconds_each"]
+        print(f"{name}: slope {series['log_log_slope']:.3f}{more}; {fixed:.3f} s + {each:.3g} s each")
         print(f"{'':10s}{'seconds':>10s}{'steps':>12s}{'ns/step':>10s}{'ns/step/learner':>17s}")
         columns = (
             "values", "median_processor_seconds", "environment_steps", "nanoseconds_per_step",
