@@ -160,8 +160,8 @@ def draw_costs(figure: Any, grid: Any, series: dict[str, Any]) -> None:
         "runs": ("1,000 episodes, 2 learners", [("runs", "steps at random")]),
         "episodes": ("10 runs, 2 learners", [("episodes", "steps at random"), ("episodes, learning", "learning")]),
         "learners": (
-            "runs × episodes, copies of one learner",
-            [("learners", "10 × 500"), ("learners, 100 runs", "100 × 100")],
+            "copies of one learner",
+            [("learners", "10 runs × 500 episodes"), ("learners, 100 runs", "100 runs × 100 episodes")],
         ),
     }
     panels: list[Any] = []
@@ -170,6 +170,10 @@ def draw_costs(figure: Any, grid: Any, series: dict[str, Any]) -> None:
         panels.append(axes)
         for (name, label), colour in zip(drawn, (BLUE, ORANGE), strict=False):
             draw_series(axes, series[name], colour, label)
+        if axis == "runs":
+            line, x = series["runs"]["line"], np.geomspace(5, 80)
+            label = f"{line['fixed_seconds']:.2f} s + {line['seconds_each'] * 1e3:.0f} ms per run"
+            axes.plot(x, line["fixed_seconds"] + line["seconds_each"] * x, color=ORANGE, linewidth=1, label=label)
         axes.plot([], [], "--", color=GREY, linewidth=1, label="in proportion (slope 1)")
         axes.set(xscale="log", yscale="log", xlabel=axis, title=title)
         axes.set_xticks(series[axis]["values"], [f"{value:,}" for value in series[axis]["values"]])
