@@ -122,5 +122,8 @@ class LearnerHost:
         failures: list[Failure] = []
         for batch in batches:
             failures += self._bank.learn(batch)
-            replay(self._book, self._selector, batch.episodes, self._nothing)
+        if batches:
+            # In one call: a run is played by one host per round, so that the order of the batches does not matter.
+            columns = zip(*(batch.episodes for batch in batches), strict=True)
+            replay(self._book, self._selector, Episodes._make(map(np.concatenate, columns)), self._nothing)
         return tuple(failures)
