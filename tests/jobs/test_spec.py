@@ -24,7 +24,7 @@ def test_shipped_experiments_are_valid(name: str) -> None:
     experiment = load_experiment(name)
     check(experiment)
     assert experiment.name == name
-    assert experiment.figures
+    assert experiment.title
 
 
 def test_main_experiment_is_that_of_the_text() -> None:

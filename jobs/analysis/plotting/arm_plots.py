@@ -75,6 +75,7 @@ def _lying_bars(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experi
     all_axes[0, 0].set_ylim(len(keys) - 0.4, -0.6)
     censored = any(one.num_censored for one in shown)
     note = "; right: runs at the cap" if censored else ""
+    note += " (dotted)" if censored and cap(experiment, plot.metric) is not None else ""
     _title(figure, plot, experiment, f"{count_of_runs(shown)}: {_HOW_TO_READ}{note}")
     for axes in all_axes[0]:
         axes.set_xlabel(NAMES[plot.metric])
