@@ -95,7 +95,12 @@ class Results:
         if selection.metric not in frame:
             raise MissingError(_missing(self, f"no {selection.metric}"))
         points = _points(self, frame, axis, selection)
-        columns = [[self._column(frame, arm, axis, point, selection) for point in points] for arm in selection.arms]
+        needed = dict.fromkeys(("run_index", "censored", selection.metric, *selection.pool, axis))
+        columns = []
+        for arm in selection.arms:
+            rows = frame.loc[frame["arm"] == arm, [name for name in needed if name in frame]]
+            rows = rows.dropna(subset=[selection.metric])
+            columns.append([self._column(rows, arm, axis, point, selection) for point in points])
         return self._side_by_side(columns, points, selection)
 
     def _expect_known(self, selection: Selection) -> None:
@@ -110,9 +115,8 @@ class Results:
                     message = f"found {kind} {name!r}, expected some of {', '.join(expected)} of {experiment.name}"
                     raise UnknownNameError(message)
 
-    def _column(self, frame: Any, arm: str, axis: str | None, point: Any, selection: Selection) -> Any:
+    def _column(self, rows: Any, arm: str, axis: str | None, point: Any, selection: Selection) -> Any:
         """One arm at one point: value and censoring by run."""
-        rows = frame[frame["arm"] == arm].dropna(subset=[selection.metric])
         if axis is not None and axis in rows:
             rows = rows[(rows[axis] == point) | rows[axis].isna()]
         if rows.empty:
@@ -122,9 +126,19 @@ class Results:
             sweeps = ", ".join(self.experiment.sweep)
             message = f"found several rows of a run of {arm}, expected one: name {sweeps} in where, axis or pool"
             raise UnknownNameError(message)
-        by_run = rows.assign(censored=rows["censored"].fillna(value=False).astype(bool)).groupby("run_index")
-        table = by_run.agg(value=(selection.metric, "mean"), censored=("censored", "any"), count=("arm", "size"))
-        return table[table["count"] == table["count"].max()]
+        table = pd.DataFrame(
+            {
+                "value": rows[selection.metric].to_numpy(np.float64),
+                "censored": (rows["censored"] == True).to_numpy(np.bool_),  # noqa: E712 - null is no
+            },
+            index=rows["run_index"].to_numpy(),
+        )
+        if not selection.pool:
+            return table
+        by_run = table.groupby(level=0)
+        pooled = by_run.agg(value=("value", "mean"), censored=("censored", "any"))
+        sizes = by_run.size()
+        return pooled[sizes == sizes.max()]
 
     def _side_by_side(self, columns: list[list[Any]], points: Sequence[Any], selection: Selection) -> Selected:
         tables = [table for row in columns for table in row]
