@@ -109,10 +109,10 @@ def design_table(predictions: Sequence[Prediction]) -> Table:
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> Table:
-    """The ledger of claims, short: its page has the words."""
+    """The ledger of claims, short: its page has the words. ``before`` is what was expected."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "expected", "runs", "at cap"):
-        is_text = heading in {"claim", "claimed", "verdict", "expected"}
+    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "before", "runs", "at cap"):
+        is_text = heading in {"claim", "claimed", "verdict", "before"}
         table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
     for verdict in verdicts:
         name, _, _, _, value, interval, claimed, ruling, expected, runs, censored, _ = cells(verdict)
