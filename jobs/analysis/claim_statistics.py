@@ -17,6 +17,7 @@ from scipy import stats
 
 from apel.theory import closed_forms, selection_aware
 from jobs.analysis.bootstrap import CONFIDENCE, NUM_RESAMPLES, Estimate, Floats
+from jobs.analysis.switch_model import measured_adaptation_time
 
 _SEED = 0
 # Resampled numbers per batch where each resample has to be sorted.
@@ -77,6 +78,7 @@ THEORIES: dict[str, Prediction] = {
     "concentration_model": _at_each(selection_aware.steady_state_concentration),
     "adaptation_formula": _at_each(lambda nu, _: closed_forms.adaptation_time(nu)),
     "adaptation_model": _at_each(selection_aware.adaptation_time),
+    "adaptation_window_model": _at_each(measured_adaptation_time),
     "performance_formula": _performance(closed_forms.exploration_probability),
     "performance_model": _performance(selection_aware.exploration_probability),
     "growth_formula": _growth(0.01),  # Eq. 3.7 over episodes, at the decay of all experiments that record them

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 
 from apel.theory import closed_forms, selection_aware
-from apel.theory.adaptation import WindowCriterion, adaptation_time_distribution
+from apel.theory.adaptation import adaptation_time_distribution
 from jobs.analysis.bootstrap import Floats
 from jobs.analysis.plotting.style import GREY
+from jobs.analysis.switch_model import CRITERION, LENGTHS, NUM_CHAINS
 from jobs.plots import LinePlot
 from jobs.spec import Experiment
 
 # The maze's measured criterion: lengths of the old best's episodes and of the new one's, in a maze of 34 moves.
-_LENGTHS = (34 * 1.67, 34.0)
-_THRESHOLD = 1.1 * 34
-_NUM_CHAINS = 300
 _TEXT_RETURNS = (-2.3, -100.0)
 _NUM_POINTS = 60
 
@@ -46,14 +44,13 @@ def _adaptation_model(axes: Any, decays: Floats, frame: Any, experiment: Experim
     longest = int(frame["adaptation_time"].max())
     if frame["censored"].any():
         longest = int(frame.loc[frame["censored"].astype(bool), "adaptation_time"].max())
-    criterion = WindowCriterion(_LENGTHS, _THRESHOLD)
     swept = any("criterion.after" in paths for paths in experiment.sweep.values())
     after = None if swept or experiment.criterion is None else experiment.criterion.after
     times = []
     for nu in decays:
-        last = min(int(40 / nu) + criterion.window, max(longest, criterion.window))
+        last = min(int(40 / nu) + CRITERION.window, max(longest, CRITERION.window))
         found = adaptation_time_distribution(
-            float(nu), criterion=criterion, switch_episode=after, num_chains=_NUM_CHAINS, max_episodes=last
+            float(nu), criterion=CRITERION, switch_episode=after, num_chains=NUM_CHAINS, max_episodes=last
         )
         times.append(np.minimum(found.episodes, last).mean())
     axes.plot(
@@ -63,7 +60,7 @@ def _adaptation_model(axes: Any, decays: Floats, frame: Any, experiment: Experim
         linestyle=":",
         linewidth=1.8,
         marker="x",
-        label=f"model, measured criterion (lengths {_LENGTHS[0]:.0f}, {_LENGTHS[1]:.0f})",
+        label=f"model, measured criterion (lengths {LENGTHS[0]:.0f}, {LENGTHS[1]:.0f})",
     )
 
 
