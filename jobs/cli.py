@@ -76,7 +76,7 @@ def list_experiments() -> None:
             experiment.title,
         )
     for name, gallery in shipped_galleries().items():
-        table.add_row(name, ", ".join(gallery.figures), "-", "-", "-", f"{gallery.title} (drawn by apel reproduce)")
+        table.add_row(name, ", ".join(gallery.figures), "-", "-", "-", f"{gallery.title} (apel figures {name})")
     _out.print(table)
 
 
@@ -178,8 +178,16 @@ def show(results: Annotated[str, typer.Argument(help="The folder of an experimen
 
 
 @app.command()
-def figures(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
-    """Draw the figures and write the report, from the files alone."""
+def figures(
+    results: Annotated[str, typer.Argument(help="The folder of an experiment's results, or a gallery: theory, …")],
+) -> None:
+    """Draw the figures and write the report, from the files alone; of a gallery, draw it below results/."""
+    from jobs.analysis.figures import draw_gallery
+
+    if gallery := shipped_galleries().get(results):
+        for path in draw_gallery(gallery, Folder(f"results/{gallery.name}")):
+            _out.print(path, highlight=False)
+        return
     store = ResultStore.at(results)
     for path in (*_draw(store, store.experiment()), write_report(store)):
         _out.print(path, highlight=False)

@@ -104,3 +104,13 @@ def test_report_is_self_contained(results: Path, capsys: pytest.CaptureFixture[s
     assert page.count("<svg") == 2
     assert "Train time &lt;in&gt; a maze" in page
     assert "SSBAS" in page
+
+
+def test_gallery_is_drawn_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`apel figures theory` needs no results, and draws below results/."""
+    monkeypatch.chdir(tmp_path)
+    paths = call(capsys, "figures", "theory").split()
+    assert len(paths) == 6
+    assert all(path.startswith("results/theory/") and Path(path).exists() for path in paths)
