@@ -28,6 +28,7 @@ _PAGE = Template("""<!doctype html>
   th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap; }
   th.name, td.name { text-align: left; }
   td.text { text-align: left; white-space: normal; min-width: 16rem; }
+  td.source { text-align: left; white-space: normal; max-width: 7rem; }
   .holds { color: #00664b; font-weight: 600; } .fails { color: #b04400; font-weight: 600; }
   .undecided, .missing { color: #666; }
   figure { margin: 1rem 0; }

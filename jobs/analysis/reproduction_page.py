@@ -11,7 +11,7 @@ from jobs.analysis.claims import Verdict, cells, count_line
 from jobs.spec import Gallery
 from jobs.store import ResultStore
 
-_HEADS = ("figure", "what is claimed", "value", "95 % interval", "claimed", "verdict", "expected")
+_HEADS = ("figure", "verdict", "what is claimed", "value", "95 % interval", "claimed", "expected")
 
 
 def reproduction_page(
@@ -48,7 +48,7 @@ def _ledger(verdicts: Sequence[Verdict]) -> str:
     rows = []
     for verdict in verdicts:
         _, source, text, _, value, interval, claimed, ruling, expected, *_, note = map(html.escape, cells(verdict))
-        words = f"<td class='name'>{source}</td><td class='text'>{text}{f' ({note})' if note else ''}</td>"
-        numbers = "".join(f"<td>{cell}</td>" for cell in (value, interval, claimed))
-        rows.append(f"<tr>{words}{numbers}<td class='{ruling}'>{ruling}</td><td>{expected}</td></tr>")
+        words = f"<td class='text'>{text}{f' ({note})' if note else ''}</td>"
+        numbers = "".join(f"<td>{cell}</td>" for cell in (value, interval, claimed, expected))
+        rows.append(f"<tr><td class='source'>{source}</td><td class='{ruling}'>{ruling}</td>{words}{numbers}</tr>")
     return f"<div class='wide'><table><tr>{head}</tr>{''.join(rows)}</table></div>"
