@@ -13,7 +13,8 @@ from apel.learners.base import StreakLimit
 from cluster.learner_host import make_run_world, open_shard_book
 from cluster.shard import Shard
 from jobs.plan import plan_shards
-from jobs.spec import Experiment, load_experiment
+from jobs.spec import Experiment
+from jobs.spec_files import load_experiment
 
 
 def play_shard(shard: Shard) -> int:

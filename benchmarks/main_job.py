@@ -24,7 +24,7 @@ from benchmarks import floor, plain_script
 from cluster.launch import ray_cluster
 from jobs.manifest import versions
 from jobs.runner import Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 
 CORES = os.cpu_count() or 1
 PLAIN_EPISODES = {"Q_full": 60, "APEL": 60}

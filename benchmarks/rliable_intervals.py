@@ -42,6 +42,7 @@ def timed(scores: dict[str, Any], function: Callable[..., Any], reps: int) -> tu
 
 
 def main() -> None:
+    """Time rliable on the curves and scores of a folder, and write what it found beside them."""
     folder, counts = Path(sys.argv[1]), [int(argument) for argument in sys.argv[2:]]
     curves, scores = np.load(folder / "curves.npy"), np.load(folder / "scores.npy")
     np.random.seed(0)  # noqa: NPY002 - rliable draws from the global generator

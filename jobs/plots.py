@@ -12,12 +12,15 @@ Theory = Literal["adaptation_formula", "adaptation_model", "performance_formula"
 """``…_formula`` is the dissertation's (Eq. 3.7, 3.11, 3.14), ``…_model`` the one that heeds selection."""
 
 
-class _Plot(BaseModel):
+class _Figure(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
     """Of its files below ``figures/``."""
     title: str = ""
+
+
+class _Plot(_Figure):
     arms: list[str] = []
     """Only these, in this order; all where empty."""
     where: dict[str, list[Any]] = {}
@@ -58,7 +61,7 @@ class CurvePlot(_Plot):
 Plot = Annotated[ArmPlot | LinePlot | CurvePlot, Field(discriminator="kind")]
 
 
-class Picture(_Plot):
+class Picture(_Figure):
     """A figure that needs no runs: of the theory (§3.5, §3.6), or of the mazes that runs are played in."""
 
     kind: Literal["growth", "adaptation", "design", "mazes"]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
@@ -16,7 +14,8 @@ from apel.metrics import Criterion
 from apel.representations import Representation
 from cluster.shard import Recording
 from jobs.plots import Picture, Plot, check_plots
-from jobs.yaml_source import Place, Source, SpecError, parse
+from jobs.spec_errors import describe
+from jobs.yaml_source import Source, SpecError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=80)]
 Count = Annotated[int, Field(ge=1, strict=True)]
@@ -243,53 +242,18 @@ class Experiment(_Model):
         return yaml.safe_dump(self.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True)
 
 
-def shipped_experiments() -> dict[str, str]:
-    """Name → text of the experiment files that come with the package."""
-    return _shipped("arms")
-
-
-def shipped_galleries() -> dict[str, Gallery]:
-    """Name → figures that need no runs."""
-    found = {name: parse(text, f"{name}.yaml") for name, text in _shipped("pictures").items()}
-    return {name: Gallery.model_validate(source.content) for name, source in found.items()}
-
-
-def _shipped(field: str) -> dict[str, str]:
-    """Name → text of the shipped files that have a field at their top."""
-    folder = resources.files("jobs") / "experiments"
-    files = sorted((file for file in folder.iterdir() if file.name.endswith(".yaml")), key=lambda file: file.name)
-    texts = {file.name.removesuffix(".yaml"): file.read_text(encoding="utf-8") for file in files}
-    return {name: text for name, text in texts.items() if f"\n{field}:" in text}
-
-
-def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment:
-    """The experiment of a file, or the shipped one of that name; ``overrides`` are ``path=value`` with YAML values.
+def validate(source: Source) -> Experiment:
+    """The experiment of a parsed document.
 
     Raises
     ------
     SpecError
-        If there is none, or it is not valid; one line per error.
+        If it is not valid; one line per error.
     """
-    source = parse(*_text_of(reference))
-    for override in overrides:
-        path, separator, value = override.partition("=")
-        if not separator or not path:
-            message = f"--set: found {override!r}, expected path=value"
-            raise SpecError(message)
-        try:
-            set_path(source.content, path, yaml.safe_load(value))
-        except (KeyError, yaml.YAMLError) as error:
-            message = f"--set {override}: {error.args[0] if isinstance(error, KeyError) else error}"
-            raise SpecError(message) from error
-    return validate(source)
-
-
-def validate(source: Source) -> Experiment:
-    """The experiment of a parsed document; see `load_experiment`."""
     try:
         experiment = Experiment.model_validate(source.content)
     except ValidationError as error:
-        raise SpecError("\n".join(_describe(source, one) for one in _most_specific(error))) from error
+        raise SpecError(describe(source, error)) from error
     experiment._source = source
     return experiment
 
@@ -336,59 +300,3 @@ def representation_of(spec: LearnerSpec, substituted: Mapping[str, Any]) -> Repr
         detail = f"{'.'.join(map(str, found['loc']))}: {found['msg']}" if found else str(error)
         message = f"{spec.type}: representation: {detail}"
         raise ValueError(message) from error
-
-
-def _text_of(reference: str) -> tuple[str, str]:
-    path = Path(reference)
-    if path.suffix in {".yaml", ".yml"} or "/" in reference:
-        try:
-            return path.read_text(encoding="utf-8"), reference
-        except (OSError, UnicodeDecodeError) as error:
-            message = f"{reference}: found no readable file: {getattr(error, 'strerror', None) or error}"
-            raise SpecError(message) from error
-    shipped = shipped_experiments()
-    if reference in shipped:
-        return shipped[reference], f"{reference}.yaml"
-    message = f"found the experiment {reference!r}, expected a file (*.yaml) or one of {', '.join(shipped)}"
-    raise SpecError(message)
-
-
-def _most_specific(error: ValidationError) -> list[Any]:
-    """One error per field: of the alternatives of a union, the one that was followed furthest."""
-    errors = error.errors()
-    places = [tuple(part for part in one["loc"] if _is_field(part)) for one in errors]
-    chosen: dict[Place, Any] = {}
-    for place, one in zip(places, errors, strict=True):
-        if any(other != place and other[: len(place)] == place for other in places):
-            continue
-        if place in chosen:
-            one["msg"] = f"{chosen[place]['msg']}, or {one['msg'].removeprefix('Input should be ')}"
-        chosen[place] = one
-    return list(chosen.values())
-
-
-def _describe(source: Source, error: Any) -> str:
-    place: Place = tuple(part for part in error["loc"] if _is_field(part))
-    path = ".".join(str(part) for part in place)
-    where = f"{source.where(place)}: {path}" if path else source.where(place)
-    if error["type"] == "extra_forbidden":
-        return f"{where}: found a field that does not exist here"
-    if error["type"] == "missing":
-        return f"{where}: found nothing, expected this field to be given"
-    if error["type"] in {"value_error", "assertion_error"}:
-        message = error["msg"].removeprefix("Value error, ")
-        # What concerns several fields is found at the root: its message opens with the field to be changed.
-        where = where if path else source.where(_parts(message.partition(":")[0]))
-        return f"{where}: {message}"
-    return f"{where}: found {error['input']!r}, expected {error['msg'].removeprefix('Input should be ')}"
-
-
-def _parts(path: str) -> Place:
-    return tuple(int(part) if part.isdigit() else part for part in path.split("."))
-
-
-def _is_field(part: str | int) -> bool:
-    """Pydantic adds the names of union members and of validators to a location."""
-    return isinstance(part, int) or not any(
-        mark in part for mark in ("[", "(", "Threshold", "Every", "literal", "float")
-    )

@@ -15,8 +15,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from apel.selection import SELECTOR_CONFIG, Row, compiled_observe
-from apel.selectors.normalising import Bounds, Normalise, check_bounds, mode_of
-from apel.selectors.ucb import count_episode, select, ucb_state
+from apel.selectors.normalising import Normalise
+from apel.selectors.ucb import Ucb1, count_episode
 
 # The state is UCB1's, then: episodes played in this epoch | its length.
 
@@ -33,7 +33,7 @@ def _observe(parameters: Row, num_learners: int, state: Row, selected: int, perf
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
-class Esbas:
+class Esbas(Ucb1):
     """UCB1 anew in every epoch, epochs of 1, 2, 4, 8, … episodes (Algorithm 6).
 
     Attributes
@@ -51,18 +51,9 @@ class Esbas:
 
     exploration: Annotated[float, Field(gt=0.0)] = 0.25
     normalise: Normalise = "none"
-    bounds: Bounds | None = None
 
-    select = staticmethod(select)
     observe = staticmethod(_observe)
-
-    def __post_init__(self) -> None:
-        check_bounds(self.normalise, self.bounds)
-
-    def parameters(self) -> Row:
-        """``float64[3]``: ξ, mode, γ = 1."""
-        return np.array([self.exploration, mode_of(self.normalise), 1.0])
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 4]``."""
-        return np.concatenate([ucb_state(num_learners, self.normalise, self.bounds), [0.0, 1.0]])
+        return np.concatenate([super().initial_state(num_learners, num_episodes), [0.0, 1.0]])

@@ -19,7 +19,7 @@ ours: ln n is replaced by max(ln n, 1), since the bonus has no value at n = 1. M
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,16 +89,6 @@ def _observe(parameters: Row, num_learners: int, state: Row, selected: int, perf
         state[potential] = state[coefficient] * root
 
 
-def _parameters(selector: D3rb | Ed2rb, *, estimates: bool) -> Row:
-    confidence, risk = selector.confidence, selector.failure_probability
-    return np.array([unit_mode(selector.bounds), selector.min_coefficient, confidence, risk, float(estimates)])
-
-
-def _state(num_learners: int, selector: D3rb | Ed2rb) -> Row:
-    coefficients = np.full(2 * num_learners, selector.min_coefficient)
-    return np.concatenate([header(num_learners), unit_range(selector.bounds), np.zeros(2 * num_learners), coefficients])
-
-
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
 class D3rb:
     """The learner of the smallest regret potential acts; a coefficient found too small is doubled.
@@ -115,6 +105,9 @@ class D3rb:
         (low, high) of performances, which are clipped to it; without it, the range seen so far.
     """
 
+    estimates: ClassVar[bool] = False
+    """Whether coefficients are estimated, not doubled."""
+
     min_coefficient: Annotated[float, Field(gt=0.0)] = 1.0
     confidence: Annotated[float, Field(ge=0.0)] = 1.0
     failure_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
@@ -124,42 +117,21 @@ class D3rb:
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
-        """``float64[5]``: mode, d_min, c, δ, 0."""
-        return _parameters(self, estimates=False)
+        """``float64[5]``: mode, d_min, c, δ, whether coefficients are estimated."""
+        mode, estimates = unit_mode(self.bounds), float(self.estimates)
+        return np.array([mode, self.min_coefficient, self.confidence, self.failure_probability, estimates])
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[7 · learners + 2]``."""
-        return _state(num_learners, self)
+        counts, coefficients = np.zeros(2 * num_learners), np.full(2 * num_learners, self.min_coefficient)
+        return np.concatenate([header(num_learners), unit_range(self.bounds), counts, coefficients])
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
-class Ed2rb:
+class Ed2rb(D3rb):
     """As `D3rb`, with coefficients estimated from the lower bound on the best mean, and potentials that at most double.
 
-    Attributes
-    ----------
-    min_coefficient:
-        d_min > 0, in units of normalised performance.
-    confidence:
-        c ≥ 0, the scale of the confidence bonus.
-    failure_probability:
-        δ, 0 < δ < 1.
-    bounds:
-        (low, high) of performances, which are clipped to it; without it, the range seen so far.
+    Its options are the same.
     """
 
-    min_coefficient: Annotated[float, Field(gt=0.0)] = 1.0
-    confidence: Annotated[float, Field(ge=0.0)] = 1.0
-    failure_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
-    bounds: Bounds | None = None
-
-    select = staticmethod(_select)
-    observe = staticmethod(_observe)
-
-    def parameters(self) -> Row:
-        """``float64[5]``: mode, d_min, c, δ, 1."""
-        return _parameters(self, estimates=True)
-
-    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
-        """``float64[7 · learners + 2]``."""
-        return _state(num_learners, self)
+    estimates: ClassVar[bool] = True

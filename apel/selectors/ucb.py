@@ -51,11 +51,6 @@ def _observe(parameters: Row, num_learners: int, state: Row, selected: int, perf
     count_episode(parameters, num_learners, state, selected, performance)
 
 
-def ucb_state(num_learners: int, normalise: str, bounds: tuple[float, float] | None) -> Row:
-    """The common blocks, the range, and no episode counted: ``float64[5 · learners + 2]``."""
-    return np.concatenate([header(num_learners), range_of(normalise, bounds), np.zeros(2 * num_learners)])
-
-
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
 class Ucb1:
     """Each learner once, then argmax x̄ₖ + √(ξ ln n / nₖ) over all episodes.
@@ -86,11 +81,11 @@ class Ucb1:
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 2]``."""
-        return ucb_state(num_learners, self.normalise, self.bounds)
+        return np.concatenate([header(num_learners), range_of(self.normalise, self.bounds), np.zeros(2 * num_learners)])
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
-class DUcb:
+class DUcb(Ucb1):
     """UCB over counts and sums that are discounted by γ per episode (D-UCB; arXiv 0805.3415).
 
     The paper writes the bonus as 2 B √(ξ' ln n / Nₖ), B = 1 for rewards in [0, 1]; here it is √(ξ ln n / Nₖ), with
@@ -109,20 +104,7 @@ class DUcb:
     """
 
     discount: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
-    exploration: Annotated[float, Field(gt=0.0)] = 2.0
-    normalise: Normalise = "minmax"
-    bounds: Bounds | None = None
-
-    select = staticmethod(select)
-    observe = staticmethod(_observe)
-
-    def __post_init__(self) -> None:
-        check_bounds(self.normalise, self.bounds)
 
     def parameters(self) -> Row:
         """``float64[3]``: ξ, mode, γ."""
         return np.array([self.exploration, mode_of(self.normalise), self.discount])
-
-    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
-        """``float64[5 · learners + 2]``."""
-        return ucb_state(num_learners, self.normalise, self.bounds)

@@ -262,9 +262,16 @@ def steady_state_performance(nu: float, best_return: float, other_returns: Seque
     -3.277
     """
     require_returns(best_return, other_returns)
-    num_others = len(other_returns)
-    explored = exploration_probability(nu, num_others + 1)
-    return (1.0 - explored) * best_return + explored * sum(other_returns) / num_others
+    return mean_return(exploration_probability(nu, len(other_returns) + 1), best_return, other_returns)
+
+
+def mean_return(exploration: float, best_return: float, other_returns: Sequence[float]) -> float:
+    """(1 − ε) G* + ε · mean of the others' returns, for the probability ε of any other than the best (Eq. 3.14).
+
+    >>> mean_return(0.5, 1.0, [0.0, -2.0])
+    0.0
+    """
+    return (1.0 - exploration) * best_return + exploration * sum(other_returns) / len(other_returns)
 
 
 def _positive(concentration: ArrayLike) -> Floats:

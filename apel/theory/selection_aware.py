@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from apel.theory.closed_forms import mean_return
 from apel.theory.ranges import require_decay, require_fraction, require_learners, require_returns
 
 Floats = NDArray[np.float64]
@@ -95,9 +96,7 @@ def steady_state_performance(nu: float, best_return: float, other_returns: Seque
     -3.287
     """
     require_returns(best_return, other_returns)
-    num_others = len(other_returns)
-    explored = exploration_probability(nu, num_others + 1)
-    return (1.0 - explored) * best_return + explored * sum(other_returns) / num_others
+    return mean_return(exploration_probability(nu, len(other_returns) + 1), best_return, other_returns)
 
 
 def expected_concentrations(nu: float, initial: Sequence[float], num_episodes: int, best: int = 0) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import fs
 
+from cluster.storage import joined, redacted
 from jobs.analysis import claim_statistics
 from jobs.analysis.bootstrap import Estimate
 from jobs.analysis.claim_models import Claim, Statistic, read_claims, shipped_claims
@@ -82,10 +83,7 @@ def _verdict(claim: Claim, results: Results | None) -> Verdict:
         estimate, num_runs, num_censored = _estimate(claim.statistic, results)
     except MissingError as error:
         return Verdict(claim, "missing", identity=identity, note=str(error))
-    except UnknownNameError as error:
-        message = f"claim {claim.id}: {error}"
-        raise SpecError(message) from error
-    except ValueError as error:
+    except (UnknownNameError, ValueError) as error:
         message = f"claim {claim.id}: {error}"
         raise SpecError(message) from error
     notes = []
@@ -150,7 +148,7 @@ def found_stores(locations: Sequence[str]) -> list[ResultStore]:
     for location in locations:
         found = _stores_below(location)
         if not found:
-            message = f"{location}: found no results, expected a folder of results or of an experiment"
+            message = f"{redacted(location)}: found no results, expected a folder of results or of an experiment"
             raise StoreError(message)
         for time, store in found:
             name = store.experiment().name
@@ -161,7 +159,7 @@ def found_stores(locations: Sequence[str]) -> list[ResultStore]:
 
 def _stores_below(location: str) -> list[tuple[float, ResultStore]]:
     """All folders with a ``runs.parquet``, at most two levels down, and when that was written."""
-    level, found = [location.rstrip("/")], []
+    level, found = [location], []
     for _ in range(3):
         below = []
         for place in level:
@@ -172,7 +170,7 @@ def _stores_below(location: str) -> list[tuple[float, ResultStore]]:
                 continue
             selector = fs.FileSelector(store.folder.path(), allow_not_found=True)
             infos = store.folder.filesystem.get_file_info(selector)
-            below += [f"{place}/{info.base_name}" for info in infos if info.type == fs.FileType.Directory]
+            below += [joined(place, info.base_name) for info in infos if info.type == fs.FileType.Directory]
         level = sorted(below)
     return found
 

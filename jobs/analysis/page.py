@@ -92,12 +92,11 @@ def sessions(manifest: Mapping[str, Any]) -> str:
     return table(heads, rows, "Sessions of work; Ray's start is not counted.")
 
 
-def pictures(store: ResultStore) -> list[str]:
+def pictures(store: ResultStore, experiment: Experiment) -> list[str]:
     """The figures of an experiment, inline."""
     names = [name for name in store.folder.names("figures") if name.endswith(".svg")]
-    return [
-        inline_svg(store.folder.read(f"figures/{name}").decode(), f"{store.folder.location()}{name}") for name in names
-    ]
+    svgs = [store.folder.read(f"figures/{name}").decode() for name in names]
+    return [inline_svg(svg, f"{experiment.name}/{name}") for svg, name in zip(svgs, names, strict=True)]
 
 
 def inline_svg(svg: str, key: str) -> str:

@@ -18,7 +18,7 @@ def write_report(store: ResultStore) -> str:
         f"<p>{about}{html.escape(figures)}. {runs} runs per arm, seed {experiment.seed}.</p>",
         "<h2>Results</h2>",
         page.results(store, experiment),
-        *page.pictures(store),
+        *page.pictures(store, experiment),
         "<h2>What it rests on</h2>",
         page.spec(experiment),
         page.sessions(manifest),

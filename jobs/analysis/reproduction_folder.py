@@ -15,14 +15,14 @@ from collections.abc import Sequence
 
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet as pq
 
 from cluster.storage import Folder
-from jobs.analysis.claims import Verdict, claims_markdown, claims_table, evaluate, shipped_claims
+from jobs.analysis.claims import Verdict, evaluate, shipped_claims
 from jobs.analysis.figures import draw_figures, draw_gallery
 from jobs.analysis.report import write_report
 from jobs.analysis.reproduction_page import reproduction_page
-from jobs.spec import shipped_galleries
+from jobs.ledger import write_ledger
+from jobs.spec_files import shipped_galleries
 from jobs.store import ResultStore
 
 
@@ -36,9 +36,7 @@ def write_reproduction(folder: Folder, stores: Sequence[ResultStore]) -> list[Ve
     for name, gallery in galleries.items():
         draw_gallery(gallery, folder.sub(f"figures/{name}"))
     verdicts = evaluate(shipped_claims(), stores)
-    claims = claims_table(verdicts)
-    folder.write_with("claims.parquet", lambda path: pq.write_table(claims, path, filesystem=folder.filesystem))
-    folder.write("claims.md", claims_markdown(verdicts).encode())
+    write_ledger(folder, verdicts)
     folder.write("report.html", reproduction_page(folder, galleries.values(), stores, verdicts))
     return verdicts
 

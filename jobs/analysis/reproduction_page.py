@@ -33,7 +33,7 @@ def reproduction_page(
     for store in stores:
         experiment = store.experiment()
         body += [_heading(experiment.title or experiment.name, experiment.figures)]
-        body += [page.results(store, experiment), *page.pictures(store), page.spec(experiment)]
+        body += [page.results(store, experiment), *page.pictures(store, experiment), page.spec(experiment)]
         body += [f"<details><summary>what it rests on</summary>{page.sessions(store.manifest())}</details>"]
     return page.page("The experiments, reproduced", body)
 
