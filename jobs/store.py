@@ -20,23 +20,19 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from apel.book import EpisodeRows
-from cluster.coordinator import RunRows
+from cluster.protocols import RunRows
 from cluster.shard import Shard
-from cluster.storage import Folder
-from jobs.hindsight import with_hindsight
+from cluster.storage import Folder, joined, redacted
 from jobs.plan import RunKey, arm_points
 from jobs.spec import Experiment, validate
+from jobs.tables import concatenated, episode_table, run_table
 from jobs.yaml_source import parse
 
-_RUN_COLUMNS = (
-    "experiment", "arm", "sweep", "run_index", "seed", "train_time", "censored", "adaptation_time", "steady_state",
-    "episodes", "steps",
-)  # fmt: skip
+_FOLDERS = ("parts", "episodes", "checkpoints", "spilled", "figures")
 
 
 class StoreError(Exception):
@@ -69,7 +65,7 @@ class ResultStore:
         StoreError
             If that is no place that can be used.
         """
-        return cls.at(f"{root.rstrip('/')}/{experiment.name}/{experiment.identity}")
+        return cls.at(joined(root, f"{experiment.name}/{experiment.identity}"))
 
     @classmethod
     def at(cls, location: str) -> ResultStore:
@@ -77,7 +73,7 @@ class ResultStore:
         try:
             return cls(Folder(location))
         except (OSError, ValueError, ImportError) as error:
-            message = f"{location}: found no place for results: {error}"
+            message = f"{redacted(location)}: found no place for results: {error}"
             raise StoreError(message) from error
 
     def open_for_writing(self, experiment: Experiment, *, fresh: bool) -> None:
@@ -90,11 +86,12 @@ class ResultStore:
         """
         try:
             if fresh:
-                for name in ("parts", "episodes", "checkpoints", "spilled", "figures"):
+                for name in _FOLDERS:
                     self.folder.delete_folder(name)
                 for name in ("runs.parquet", "summary.parquet", "manifest.json", "report.html"):
                     self.folder.delete(name)
             self.folder.write("spec.yaml", experiment.to_yaml().encode())
+            self._delete_temporary()
             self._delete_orphans()
         except OSError as error:
             message = f"{self.folder.location()}: found a results folder that cannot be written to: {error}"
@@ -116,11 +113,15 @@ class ResultStore:
             raise StoreError(message)
         order = [(arm, point.label) for point, arm in arm_points(experiment, None)]
         place = {key: position for position, key in enumerate(order)}
-        table = _concatenated(tables)
+        table = concatenated(tables)
         keys = zip(table["arm"].to_pylist(), table["sweep"].to_pylist(), strict=True)
         table = table.append_column("position", pa.array([place[key] for key in keys]))
         table = table.sort_by([("position", "ascending"), ("run_index", "ascending")]).drop_columns(["position"])
-        table = with_hindsight(table, experiment.hindsight)
+        if experiment.hindsight:
+            # With pandas, which no command should wait for that only reads an experiment file.
+            from jobs.hindsight import with_hindsight
+
+            table = with_hindsight(table, experiment.hindsight)
         self.write_table("runs.parquet", table)
         return table
 
@@ -158,11 +159,16 @@ class ResultStore:
 
     def _read(self, name: str, columns: list[str] | None = None) -> pa.Table:
         try:
-            with self.folder.filesystem.open_input_file(self.folder.path(name)) as file:
-                return pq.ParquetFile(file).read(columns)
+            return self.folder.read_with(name, lambda file: pq.ParquetFile(file).read(columns))
         except (OSError, pa.ArrowException) as error:
             message = f"{self.folder.location(name)}: found an unreadable file: {error}"
             raise StoreError(message) from error
+
+    def _delete_temporary(self) -> None:
+        """What processes that were killed were writing. Not in claims/: other jobs that are alive write there."""
+        for name in self.folder.temporary_names():
+            if not name.startswith("claims/"):
+                self.folder.delete(name)
 
     def _delete_orphans(self) -> None:
         """Episode rows of shards that were never committed would be counted twice."""
@@ -187,7 +193,7 @@ class ParquetSink:
 
     def spill(self, shard: Shard, part: int, rows: Sequence[EpisodeRows]) -> None:
         """Put rows aside, so that memory stays flat."""
-        _write(self._folder, _spilled(shard, part), _episode_table(shard, rows, None))
+        _write(self._folder, _spilled(shard, part), episode_table(shard, rows, None))
 
     def commit(self, shard: Shard, runs: RunRows, num_parts: int, rows: Sequence[EpisodeRows]) -> None:
         """Store the rows of the finished runs of a shard."""
@@ -195,20 +201,19 @@ class ParquetSink:
             return
         name = f"arm={shard.arm.arm}/{shard_id(shard)}.parquet"
         if shard.arm.recording != "none":
-            last = _episode_table(shard, rows, runs.position)
+            last = episode_table(shard, rows, runs.position)
             finished = pa.array([shard.runs[position].index for position in runs.position])
             self._folder.write_with(
                 f"episodes/{name}", lambda path: self._write_episodes(path, shard, num_parts, last, finished)
             )
-        _write(self._folder, f"parts/{name}", _run_table(shard, runs))
+        _write(self._folder, f"parts/{name}", run_table(shard, runs))
         for part in range(num_parts):
             self._folder.delete(_spilled(shard, part))
 
     def _write_episodes(self, path: str, shard: Shard, num_parts: int, last: pa.Table, finished: pa.Array) -> None:
         with pq.ParquetWriter(path, last.schema, filesystem=self._folder.filesystem) as writer:
             for part in range(num_parts):
-                with self._folder.filesystem.open_input_file(self._folder.path(_spilled(shard, part))) as file:
-                    table = pq.ParquetFile(file).read()
+                table = self._folder.read_with(_spilled(shard, part), lambda file: pq.ParquetFile(file).read())
                 mask = pa.compute.is_in(table["run_index"], value_set=finished)
                 writer.write_table(table.filter(mask))
             writer.write_table(last)
@@ -244,103 +249,3 @@ def _spilled(shard: Shard, part: int) -> str:
 
 def _write(folder: Folder, name: str, table: pa.Table) -> None:
     folder.write_with(name, lambda path: pq.write_table(table, path, filesystem=folder.filesystem))
-
-
-def _run_table(shard: Shard, runs: RunRows) -> pa.Table:
-    plans = [shard.runs[position] for position in runs.position]
-    has_criterion = shard.arm.criterion is not None
-    after = shard.arm.criterion.after if shard.arm.criterion else 0
-    count = len(plans)
-    columns: dict[str, Any] = {
-        "experiment": pa.array([shard.arm.experiment] * count, pa.string()),
-        "arm": pa.array([shard.arm.arm] * count, pa.string()),
-        "sweep": pa.array([shard.arm.sweep] * count, pa.string()),
-        "run_index": pa.array([plan.index for plan in plans], pa.int64()),
-        "seed": pa.array([plan.seed for plan in plans], pa.int64()),
-        "train_time": pa.array(runs.train_time if has_criterion else [None] * count, pa.int64()),
-        "censored": pa.array(runs.censored if has_criterion else [None] * count, pa.bool_()),
-        "adaptation_time": pa.array(runs.train_time - after if after else [None] * count, pa.int64()),
-        "steady_state": pa.array(runs.steady_state, pa.float64(), from_pandas=True),
-        "episodes": pa.array(runs.episodes, pa.int64()),
-        "steps": pa.array(runs.steps, pa.int64()),
-    }
-    swept = shard.arm.sweep_values
-    extras = [{**info, **plan.variables, **swept} for info, plan in zip(runs.info, plans, strict=True)]
-    for name in dict.fromkeys(name for extra in extras for name in extra if name not in _RUN_COLUMNS):
-        columns[name] = _column([_plain(extra.get(name)) for extra in extras])
-    return pa.table(columns)
-
-
-def _column(values: list[Any]) -> pa.Array:
-    """A column of values of one type; of several types as text."""
-    try:
-        return pa.array(values)
-    except pa.ArrowException:
-        return _text(values)
-
-
-def _text(values: list[Any]) -> pa.Array:
-    return pa.array([v if v is None or isinstance(v, str) else json.dumps(v) for v in values], pa.string())
-
-
-def _concatenated(tables: Sequence[pa.Table]) -> pa.Table:
-    """All rows; a variable or an axis whose values are of several types is text in all of them."""
-    types: dict[str, set[pa.DataType]] = {}
-    for table in tables:
-        for field in table.schema:
-            types.setdefault(field.name, set()).add(field.type)
-    mixed = {name for name, found in types.items() if not _is_one_kind(found - {pa.null()})}
-    for name in mixed:
-        tables = [
-            table.set_column(table.column_names.index(name), name, _text(table[name].to_pylist()))
-            if name in table.column_names
-            else table
-            for table in tables
-        ]
-    return pa.concat_tables(tables, promote_options="permissive")
-
-
-def _is_one_kind(types: set[pa.DataType]) -> bool:
-    return len(types) < 2 or all(pa.types.is_integer(one) or pa.types.is_floating(one) for one in types)
-
-
-def _plain(value: Any) -> Any:
-    """A variable's value as Parquet can hold it; composite ones as JSON."""
-    return value if value is None or isinstance(value, bool | int | float | str) else json.dumps(value)
-
-
-def _episode_table(shard: Shard, rows: Sequence[EpisodeRows], finished: Any) -> pa.Table:
-    """Rows sorted by run and episode; those of runs that are not ``finished`` (positions; None: all) are left out."""
-    num_learners = len(shard.arm.learner_names)
-    joined = _joined(rows, num_learners)
-    order = np.lexsort((joined.episode, joined.run))
-    if finished is not None:
-        order = order[np.isin(joined.run[order], finished)]
-    sorted_rows = EpisodeRows._make(column[order] for column in joined)
-    index = np.array([run.index for run in shard.runs], dtype=np.int64)
-    header = sorted_rows.header.reshape(-1, 3, num_learners)
-    return pa.table(
-        {
-            "sweep": pa.array([shard.arm.sweep] * len(order), pa.string()),
-            "run_index": pa.array(index[sorted_rows.run], pa.int64()),
-            "episode": pa.array(sorted_rows.episode, pa.int64()),
-            "selected": pa.array(sorted_rows.selected, pa.int64()),
-            "return": pa.array(sorted_rows.episode_return, pa.float64()),
-            "length": pa.array(sorted_rows.length, pa.int64()),
-            "probability": _lists(header[:, 0]),
-            "performance_estimate": _lists(header[:, 1]),
-            "concentration": _lists(header[:, 2]),
-        }
-    )
-
-
-def _joined(rows: Sequence[EpisodeRows], num_learners: int) -> EpisodeRows:
-    if not rows:
-        return EpisodeRows.empty(0, num_learners)
-    return EpisodeRows._make(np.concatenate(columns) for columns in zip(*rows, strict=True))
-
-
-def _lists(values: Any) -> pa.Array:
-    """``float64[rows, learners]`` as lists; NaN becomes null."""
-    offsets = np.arange(len(values) + 1, dtype=np.int32) * values.shape[1]
-    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(values.ravel(), pa.float64(), from_pandas=True))
