@@ -24,12 +24,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from cluster.coordinator import Coordinator, ShardDone
+from cluster.coordinator import Coordinator
+from cluster.events import ShardDone
 from cluster.local import LocalHosts
 from cluster.shard import Execution
 from jobs.manifest import versions
 from jobs.plan import plan_shards
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -1,10 +1,9 @@
 """The only place that says ``ray.init``, ``ray.remote`` and ``.options``.
 
 A *gang* is a coordinator with one host actor per learner, in one placement group of one CPU: gangs are placed whole
-or not at all, so that any number of them can wait for room without blocking each other. There are as many gangs as
-CPUs, they are kept for the whole job, and take one shard after the other. Actors never restart on their own, since
-their state would be fresh and the results wrong: when one dies its gang is replaced, and the shard goes on from its
-last checkpoint.
+or not at all, so that any number of them can wait for room without blocking each other. Actors never restart on their
+own, since their state would be fresh and the results wrong: when one dies its gang is replaced (`cluster.pool`), and
+the shard goes on from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -13,12 +12,11 @@ import os
 import signal
 import socket
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import ray
@@ -27,28 +25,18 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from apel.learners.base import Failure, Played, State
 from apel.trajectory import Episodes
-from cluster.coordinator import CheckpointStore, Coordinator, Hosts, ResultSink, ShardDone, ShardProgress
-from cluster.errors import ClusterError, ShardLostError
+from cluster.coordinator import Coordinator
+from cluster.errors import ClusterError
 from cluster.learner_host import LearnerHost
 from cluster.local import LocalHosts
-from cluster.retry import RetryPolicy
+from cluster.protocols import Hosts
 from cluster.shard import Execution, Shard
 
 ObjectRef = Any  # ray's own is generic in a type that nothing here can check
-Placement = Literal["actors", "packed"]
-
 # Batches below this size travel inside the messages; Ray's own limit of 100 kB sends most of them through the object
 # store, which costs several times as much.
 _INLINE_BYTES = 2_000_000
 _REACH_SECONDS = 5.0
-_INFRASTRUCTURE_FAULTS = (
-    ray.exceptions.RayActorError,
-    ray.exceptions.WorkerCrashedError,
-    ray.exceptions.ObjectLostError,
-    ray.exceptions.NodeDiedError,
-    ray.exceptions.OutOfMemoryError,
-    ray.exceptions.LocalRayletDiedError,
-)
 
 
 @dataclass(frozen=True)
@@ -57,6 +45,8 @@ class ClusterInfo:
 
     dashboard_url: str
     num_cpus: int
+    log_folder: Path
+    """Of this machine's part of the Ray session; the dashboard serves what lies there."""
 
 
 @contextmanager
@@ -74,14 +64,14 @@ def ray_cluster(
     """
     _check_reachable(address)
     if ray.is_initialized():
-        yield ClusterInfo("", _num_cpus())
+        yield _info("")
         return
     dashboard_url = _connect(address, num_cpus, dashboard=dashboard)
     try:
-        if not _num_cpus():
+        if not num_cpus_of_cluster():
             message = "found a Ray cluster without CPUs, expected at least one: start a worker node first"
             raise ClusterError(message)
-        yield ClusterInfo(dashboard_url, _num_cpus())
+        yield _info(dashboard_url)
     finally:
         ray.shutdown()
 
@@ -119,7 +109,14 @@ def _check_reachable(address: str | None) -> None:
         raise ClusterError(message) from error
 
 
-def _num_cpus() -> int:
+def _info(dashboard_url: str) -> ClusterInfo:
+    context: Any = ray.get_runtime_context()
+    log_folder = Path(context.get_temp_dir(), context.get_session_name(), "logs")
+    return ClusterInfo(dashboard_url, num_cpus_of_cluster(), log_folder)
+
+
+def num_cpus_of_cluster() -> int:
+    """How many CPUs the nodes that are there now have together, whoever uses them."""
     resources: dict[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
     return int(resources.get("CPU", 0))
 
@@ -181,7 +178,7 @@ class RemoteHosts:
         return [batch for other, batch in enumerate(self._last) if other != index and batch is not None]
 
 
-class _Gang:
+class Gang:
     """A coordinator actor and its hosts."""
 
     def __init__(self, name: str, num_hosts: int, make_coordinator: Callable[[Hosts], tuple[Any, ...]]) -> None:
@@ -194,7 +191,9 @@ class _Gang:
         # Ray counts CPUs in ten-thousandths; rounding down keeps the hosts within the gang's one CPU.
         share = np.floor(10_000 / max(num_hosts, 1)) / 10_000
         host_class: Any = ray.remote(LearnerHost)
-        coordinator_class: Any = ray.remote(Coordinator)
+        # Apart from `run`, which takes as long as a shard does: it must be possible to tell a coordinator to stop.
+        remote: Any = ray.remote
+        coordinator_class = remote(concurrency_groups={"control": 1})(Coordinator)
         self._hosts = [
             host_class.options(name=f"{name}/learner-{i}", num_cpus=share, **options).remote() for i in range(num_hosts)
         ]
@@ -207,102 +206,18 @@ class _Gang:
         """Begin a shard: a generator of references to its progress."""
         return self._coordinator.run.options(name=shard.label, num_returns="streaming").remote(shard)
 
+    def is_placed(self) -> bool:
+        """Whether the cluster had room for it."""
+        return bool(self._group.wait(timeout_seconds=0))
+
+    def stop(self) -> None:
+        """Ask the shard under way to write a checkpoint and end."""
+        self._coordinator.stop.options(concurrency_group="control").remote()
+
     def kill(self) -> None:
-        """Stop all its processes and give back its CPU."""
+        """End all its processes and give back its CPU."""
         for actor in (self._coordinator, *self._hosts):
             with suppress(Exception):
                 ray.kill(actor)
         with suppress(Exception):
             remove_placement_group(self._group)
-
-
-class ShardPool:
-    """Plays shards on a Ray cluster, as many at once as it has CPUs."""
-
-    def __init__(
-        self,
-        experiment: str,
-        placement: Placement,
-        sink: ResultSink,
-        checkpoints: CheckpointStore,
-        execution: Execution,
-        retry: RetryPolicy | None = None,
-    ) -> None:
-        self._experiment = experiment
-        self._placement = placement
-        self._parts = (sink, checkpoints, execution)
-        self._retry = retry or RetryPolicy()
-        self._num_gangs = 0
-        self._faults: dict[tuple[str, str, int], int] = {}
-        self._idle: list[_Gang] = []
-        self._active: dict[Any, tuple[_Gang, Shard]] = {}
-
-    @property
-    def num_restarts(self) -> int:
-        """How many times a gang had to be replaced."""
-        return sum(self._faults.values())
-
-    def run(self, shards: Sequence[Shard]) -> Iterator[tuple[Shard, ShardProgress | ShardDone]]:
-        """Play all shards, in any order; yields their progress, and for each that it is done.
-
-        Raises
-        ------
-        ShardLostError
-            If a shard's processes died too often.
-        """
-        queue = deque(shards)
-        num_hosts = max((len(shard.arm.learner_names) for shard in shards), default=0)
-        try:
-            while queue or self._active:
-                self._hire(len(queue), num_hosts)
-                while queue and self._idle:
-                    self._begin(self._idle.pop(), queue.popleft())
-                yield from self._wait(num_hosts)
-        finally:
-            for gang in (*self._idle, *(gang for gang, _ in self._active.values())):
-                gang.kill()
-
-    def _hire(self, num_waiting: int, num_hosts: int) -> None:
-        """Start gangs for waiting shards while there are CPUs: workers may join at any time."""
-        free = _num_cpus() - len(self._active) - len(self._idle) if num_waiting > len(self._idle) else 0
-        for _ in range(min(free, num_waiting - len(self._idle))):
-            self._idle.append(self._new_gang(num_hosts))
-
-    def _begin(self, gang: _Gang, shard: Shard) -> None:
-        self._active[gang.start(shard)] = (gang, shard)
-
-    def _wait(self, num_hosts: int) -> Iterator[tuple[Shard, ShardProgress | ShardDone]]:
-        generators: list[Any] = list(self._active)
-        if not generators:  # every CPU has left the cluster: wait for one to come back
-            time.sleep(1.0)
-            return
-        ready: list[Any] = ray.wait(generators, num_returns=1, timeout=1.0)[0]
-        for generator in ready:
-            gang, shard = self._active[generator]
-            try:
-                yield shard, ray.get(next(generator))
-            except StopIteration:
-                del self._active[generator]
-                self._idle.append(gang)
-            except ray.exceptions.RayError as error:
-                del self._active[generator]
-                gang.kill()
-                self._recover(shard, num_hosts, error)
-
-    def _recover(self, shard: Shard, num_hosts: int, error: ray.exceptions.RayError) -> None:
-        """Begin the shard again with a new gang, from its checkpoint, if the infrastructure was at fault."""
-        cause = getattr(error, "cause", None)
-        if not isinstance(error, _INFRASTRUCTURE_FAULTS) and not isinstance(cause, _INFRASTRUCTURE_FAULTS):
-            raise cause if isinstance(cause, Exception) else error
-        faults = self._faults[shard.key] = self._faults.get(shard.key, 0) + 1
-        delay = self._retry.delay_seconds(faults)
-        if delay is None:
-            message = f"{shard.label}: its processes died {faults} times; the last time: {str(error).splitlines()[0]}"
-            raise ShardLostError(message) from error
-        time.sleep(delay)
-        self._begin(self._new_gang(num_hosts), shard)
-
-    def _new_gang(self, num_hosts: int) -> _Gang:
-        name = f"{self._experiment}/gang-{self._num_gangs}"
-        self._num_gangs += 1
-        return _Gang(name, num_hosts if self._placement == "actors" else 0, lambda hosts: (hosts, *self._parts))

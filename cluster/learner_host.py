@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from apel.trajectory import Episodes, TrajectoryBatch
 from cluster.shard import Execution, RunPlan, Shard
 
 _SOLO_STREAK_SCALE = 10
+_FIRST_ROUND_STEPS, _MAX_GROWTH = 5_000, 8
 _NO_EPISODES = Episodes.empty(0)
 
 
@@ -46,6 +48,18 @@ def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -
     )
 
 
+def paced_steps(limit: int, steps: int, seconds: float, wanted_seconds: float, most: int) -> int:
+    """The limit for the next round, after one of ``steps`` took ``seconds``: as many steps as last ``wanted_seconds``,
+    at most ``most``, and not many times the last ``limit``.
+
+    >>> paced_steps(5_000, 5_000, 0.5, 2.0, 1_000_000), paced_steps(5_000, 300, 0.001, 2.0, 1_000_000)
+    (20000, 40000)
+    """
+    # A short round says little of how fast a learner is: most of it may be the call.
+    fitting = steps * wanted_seconds / seconds if seconds > wanted_seconds / 10 else most
+    return int(max(min(fitting, limit * _MAX_GROWTH, most), 1))
+
+
 class LearnerHost:
     """Plays and learns with one base learner, for all runs of a shard. A plain class: `cluster.launch` makes it an
     actor.
@@ -61,6 +75,7 @@ class LearnerHost:
         self._selector: Selector
         self._index = 0
         self._limit = StreakLimit(1, 1)
+        self._most_steps, self._round_seconds = 1, 0.0
         self._record = False
         self._nothing = np.zeros(0, dtype=np.bool_)
 
@@ -92,7 +107,8 @@ class LearnerHost:
         self._record = bool(others)
         # A learner alone sends no trajectories, only a few numbers per episode: its messages can be rarer.
         scale = 1 if self._record else _SOLO_STREAK_SCALE
-        self._limit = StreakLimit(scale * execution.streak_episodes, scale * execution.streak_steps)
+        self._most_steps, self._round_seconds = scale * execution.streak_steps, execution.round_seconds
+        self._limit = StreakLimit(scale * execution.streak_episodes, min(_FIRST_ROUND_STEPS, self._most_steps))
         self._nothing = np.zeros(shard.arm.num_episodes, dtype=np.bool_)
         if state is not None:
             self._bank.restore(state["bank"])
@@ -110,7 +126,11 @@ class LearnerHost:
         playable = [run for run in runs if run not in failed]
         if not playable:
             return Played(_NO_EPISODES, None, failures), None
+        began = time.monotonic()
         played = self._bank.play(playable, self._book, self._selector, self._index, self._limit, record=self._record)
+        steps, seconds = int(played.episodes.length.sum()), time.monotonic() - began
+        allowed = paced_steps(self._limit.steps, steps, seconds, self._round_seconds, self._most_steps)
+        self._limit = self._limit._replace(steps=allowed)
         return replace(played, batch=None, failures=(*failures, *played.failures)), played.batch
 
     def state(self, *batches: TrajectoryBatch) -> tuple[State, tuple[Failure, ...]]:

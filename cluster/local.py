@@ -4,7 +4,7 @@ microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 from apel.compiled import is_compiled, mark_compiled
@@ -12,8 +12,10 @@ from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.learners.base import Failure, Played, State
 from apel.registry import SELECTORS
 from apel.trajectory import TrajectoryBatch
-from cluster.coordinator import CheckpointStore, Coordinator, ResultSink, ShardDone, ShardProgress
+from cluster.coordinator import Coordinator
+from cluster.events import ShardEvent
 from cluster.learner_host import LearnerHost
+from cluster.protocols import CheckpointStore, ResultSink
 from cluster.shard import ArmPlan, Execution, RunPlan, Shard
 
 
@@ -48,13 +50,21 @@ class LocalHosts:
 
 
 def run_shards(
-    shards: Sequence[Shard], sink: ResultSink, checkpoints: CheckpointStore, execution: Execution
-) -> Iterator[tuple[Shard, ShardProgress | ShardDone]]:
-    """Play shards one after the other in this process."""
+    shards: Sequence[Shard],
+    sink: ResultSink,
+    checkpoints: CheckpointStore,
+    execution: Execution,
+    stopping: Callable[[], bool] = lambda: False,
+) -> Iterator[tuple[Shard, ShardEvent]]:
+    """Play shards one after the other in this process, until all are done or ``stopping()`` says to stop."""
     for shard in shards:
+        if stopping():
+            return
         coordinator = Coordinator(LocalHosts(), sink, checkpoints, execution)
         for event in coordinator.run(shard):
             yield shard, event
+            if stopping():
+                coordinator.stop()
 
 
 def not_compiled(selectors: Collection[str]) -> list[str]:

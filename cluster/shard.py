@@ -124,6 +124,12 @@ class Execution:
         Environment steps per host and round; bounds the size of a message.
     checkpoint_seconds:
         Time between two checkpoints of a shard.
+    checkpoint_episodes:
+        A checkpoint also after so many episodes, over all runs of the shard; None: by time alone.
+    checkpoint_share:
+        Largest share of a shard's time that checkpoints may take: after a costly one the next comes later.
+    round_seconds:
+        How long a host may play before it reports back; bounds how long a stop, or a checkpoint, has to wait.
     progress_seconds:
         Least time between two reports of its progress.
     """
@@ -131,4 +137,7 @@ class Execution:
     streak_episodes: int = 200
     streak_steps: int = 1_000_000
     checkpoint_seconds: float = 30.0
+    checkpoint_episodes: int | None = None
+    checkpoint_share: float = 0.05
+    round_seconds: float = 2.0
     progress_seconds: float = 0.25

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -15,19 +15,29 @@ from rich.table import Table
 
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
-from cluster.storage import Folder
-from jobs import reproduction
-from jobs.analysis import claims as ledger
+from cluster.shard import Execution
+from cluster.storage import Folder, joined
+from jobs import job_commands, reproduction
 from jobs.analysis.report import write_report
 from jobs.design import Request, advice
 from jobs.design import design as design_decay
+from jobs.event_files import EventFiles
+from jobs.lease import BusyError
+from jobs.metrics import MetricsObserver
+from jobs.observers import Observer, Observers
 from jobs.plan import arm_points
 from jobs.runner import Outcome, Placement, Settings, run_experiment
-from jobs.spec import Experiment, load_experiment, shipped_experiments, shipped_galleries
+from jobs.spec import Experiment
+from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries
+from jobs.status_file import StatusFile
+from jobs.stopping import stop_on_signals
 from jobs.store import ResultStore, StoreError
-from jobs.terminal import TerminalObserver, design_table, summary_table, verdict_table
+from jobs.terminal import TerminalObserver, design_table, summary_table
 from jobs.validation import check
 from jobs.yaml_source import SpecError
+
+if TYPE_CHECKING:
+    from jobs.analysis.claims import Verdict
 
 app = typer.Typer(
     help="Ensembles of different reinforcement learners, over a hundred seeds, on Ray.",
@@ -35,6 +45,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+job_commands.add_to(app)
 # Wide enough for the table where the output goes to a file or to a job's log.
 _out = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 _err = Console(stderr=True, soft_wrap=True)
@@ -43,6 +54,12 @@ _Reference = Annotated[
     str, typer.Argument(metavar="SPEC|NAME", help="An experiment file, or the name of a shipped one.")
 ]
 _Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override any field of the spec.")]
+
+
+_Results = Annotated[
+    str | None,
+    typer.Option(envvar="APEL_RESULTS", help="Folder or URI for the results.", show_default="results"),
+]
 
 
 class InterruptedJobError(Exception):
@@ -100,40 +117,51 @@ def run(
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "actors",
     shard_size: Annotated[int | None, typer.Option(min=1, help="Runs that are played side by side.")] = None,
     address: Annotated[
-        str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT. Default: start one here.")
+        str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT. Default: start one here; in a job, its own.")
     ] = None,
     cpus: Annotated[int | None, typer.Option(min=1, help="CPUs of the Ray that is started here.")] = None,
-    results: Annotated[str, typer.Option(help="Folder or URI for the results.")] = "results",
+    results: _Results = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over.")] = False,
     overrides: _Set = None,
+    checkpoint_seconds: Annotated[
+        float, typer.Option(min=0.0, help="Time between checkpoints; they never take more than 5 % of it.")
+    ] = Execution.checkpoint_seconds,
+    checkpoint_episodes: Annotated[
+        int | None, typer.Option(min=1, help="A checkpoint also after so many episodes of a shard.")
+    ] = None,
+    tensorboard: Annotated[str | None, typer.Option(metavar="DIR", help="Write TensorBoard event files.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table.")] = False,
 ) -> None:
     """Run an experiment, or go on where it stopped."""
+    job = job_commands.current_job()
     settings = Settings(
-        results=results,
+        results=results or job_commands.default_results(job),
         arms=tuple(arms.split(",")) if arms else None,
         placement=_placement(placement),
         shard_size=shard_size,
-        address=address,
+        address=address or ("auto" if job else None),
         num_cpus=cpus,
         fresh=fresh,
+        execution=Execution(checkpoint_seconds=checkpoint_seconds, checkpoint_episodes=checkpoint_episodes),
+        job=job,
     )
     shortcuts = [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
     experiment = load_experiment(spec, [*shortcuts, *(overrides or [])])
-    observer = TerminalObserver(_out)
-    try:
-        outcome = run_experiment(experiment, settings, None if quiet else observer)
-    except KeyboardInterrupt:
-        raise InterruptedJobError from None  # typer would answer for it, and say nothing
-    finally:
-        observer.stop()
+    observers: list[Observer] = [] if quiet else [TerminalObserver(_out)]
+    observers += [MetricsObserver(experiment.name, job)]
+    observers += [_status_file(experiment, settings)] if job else []
+    observers += [EventFiles(tensorboard)] if tensorboard else []
+    with _graceful_stop() as stopping:
+        outcome = run_experiment(experiment, settings, Observers(observers), stopping)
     _finish(experiment, outcome, quiet=quiet)
+    if outcome.was_stopped:
+        raise InterruptedJobError
 
 
 @app.command()
 def reproduce(
     scale: Annotated[str, typer.Option(help="smoke (2 runs each), tenth or full.")] = "full",
-    results: Annotated[str, typer.Option(help="Folder or URI for the results.")] = "results",
+    results: _Results = None,
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "packed",
     address: Annotated[str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT.")] = None,
     cpus: Annotated[int | None, typer.Option(min=1, help="CPUs of the Ray that is started here.")] = None,
@@ -142,29 +170,27 @@ def reproduce(
     if scale not in ("smoke", "tenth", "full"):
         message = f"--scale: found {scale!r}, expected smoke, tenth or full"
         raise SpecError(message)
-    settings = Settings(results=results, placement=_placement(placement), address=address, num_cpus=cpus)
-    observers: list[TerminalObserver] = []
+    job = job_commands.current_job()
+    results = results or job_commands.default_results(job)
+    address = address or ("auto" if job else None)
+    settings = Settings(results=results, placement=_placement(placement), address=address, num_cpus=cpus, job=job)
 
-    def observer_for(experiment: Experiment) -> TerminalObserver:
+    def observer_for(experiment: Experiment) -> Observer:
         _out.print(f"{experiment.name}: {experiment.title}", highlight=False)
-        observers.append(TerminalObserver(_out))
-        return observers[-1]
+        more = [_status_file(experiment, settings)] if job else []
+        return Observers([TerminalObserver(_out), MetricsObserver(experiment.name, job), *more])
 
     failed = False
     stores: list[ResultStore] = []
-    try:
-        for experiment, outcome in reproduction.reproduce(scale, settings, observer_for):  # type: ignore[arg-type]
-            observers[-1].stop()
+    with _graceful_stop() as stopping:
+        for experiment, outcome in reproduction.reproduce(scale, settings, observer_for, stopping):  # type: ignore[arg-type]
             _out.print(f"{experiment.name}: {outcome.num_computed} runs in {outcome.seconds:.1f} s", highlight=False)
             stores.append(outcome.store)
             failed |= bool(outcome.failures)
             for line in grouped(outcome.failures):
                 _err.print(f"error: {line}", style="red", highlight=False, markup=False)
-    except KeyboardInterrupt:
-        raise InterruptedJobError from None
-    finally:
-        for observer in observers:
-            observer.stop()
+            if outcome.was_stopped:
+                raise InterruptedJobError
     _write_reproduction(results, stores)
     if failed:
         raise typer.Exit(1)
@@ -201,15 +227,14 @@ def claims(
     output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
 ) -> None:
     """Hold what the dissertation claims against the results, from the files alone."""
-    verdicts = ledger.evaluate(ledger.shipped_claims(), ledger.found_stores(results or ["results"]))
-    _out.print(verdict_table(verdicts))
-    _out.print(ledger.count_line(verdicts), highlight=False)
+    from jobs.analysis.claims import evaluate, found_stores, shipped_claims
+    from jobs.ledger import write_ledger
+
+    verdicts = evaluate(shipped_claims(), found_stores(results or ["results"]))
+    _show_verdicts(verdicts)
     if output is not None:
-        store = ResultStore.at(output)
-        store.write_table("claims.parquet", ledger.claims_table(verdicts))
-        store.folder.write("claims.md", ledger.claims_markdown(verdicts).encode())
-        for name in ("claims.parquet", "claims.md"):
-            _out.print(store.folder.location(name), highlight=False)
+        for path in write_ledger(ResultStore.at(output).folder, verdicts):
+            _out.print(path, highlight=False)
 
 
 @app.command()
@@ -233,12 +258,18 @@ def design(
 def _write_reproduction(results: str, stores: list[ResultStore]) -> None:
     from jobs.analysis.reproduction_folder import write_reproduction
 
-    folder = Folder(f"{results.rstrip('/')}/reproduction")
-    verdicts = write_reproduction(folder, stores)
-    _out.print(verdict_table(verdicts))
-    _out.print(ledger.count_line(verdicts), highlight=False)
+    folder = Folder(joined(results, "reproduction"))
+    _show_verdicts(write_reproduction(folder, stores))
     for name in ("claims.parquet", "claims.md", "tables/", "figures/", "report.html"):
         _out.print(folder.location(name), highlight=False)
+
+
+def _show_verdicts(verdicts: Sequence[Verdict]) -> None:
+    from jobs.analysis.claims import count_line
+    from jobs.ledger import verdict_table
+
+    _out.print(verdict_table(verdicts))
+    _out.print(count_line(verdicts), highlight=False)
 
 
 def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
@@ -263,6 +294,26 @@ def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
         raise typer.Exit(1)
 
 
+@contextmanager
+def _graceful_stop() -> Iterator[Callable[[], bool]]:
+    """The first signal lets shards write checkpoints, a second one ends everything at once."""
+
+    def say() -> None:
+        _err.print("stopping: shards under way write checkpoints; once more to end at once", highlight=False)
+
+    try:
+        with stop_on_signals(say) as stopping:
+            yield stopping
+    except KeyboardInterrupt:
+        raise InterruptedJobError from None  # typer would answer for it, and say nothing
+
+
+def _status_file(experiment: Experiment, settings: Settings) -> StatusFile:
+    location = ResultStore.of(experiment, settings.results).folder.location()
+    about = {"experiment": experiment.name, "identity": experiment.identity, "results": location}
+    return StatusFile(settings.job, about)
+
+
 def _draw(store: ResultStore, experiment: Experiment) -> list[str]:
     from jobs.analysis.figures import draw_figures
 
@@ -281,7 +332,7 @@ def _exit_codes() -> Iterator[None]:
     """Expected errors become one message and an exit code; anything else is a bug and keeps its traceback."""
     try:
         yield
-    except (SpecError, StoreError) as error:
+    except (SpecError, StoreError, BusyError) as error:
         _fail(str(error), 2)
     except (ClusterError, CheckpointError, OSError) as error:
         _fail(str(error), 1)

@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
+from jobs.observers import Observer
 from jobs.plan import arm_points
-from jobs.runner import Observer, Outcome, Settings, run_experiment
-from jobs.spec import Experiment, load_experiment, shipped_experiments
+from jobs.runner import Outcome, Settings, Stopping, run_experiment
+from jobs.spec import Experiment
+from jobs.spec_files import load_experiment, shipped_experiments
 
 Scale = Literal["smoke", "tenth", "full"]
 _SMOKE_RUNS = 2
@@ -34,7 +36,10 @@ def _most_episodes(experiment: Experiment) -> int:
 
 
 def reproduce(
-    scale: Scale, settings: Settings, observer_for: Callable[[Experiment], Observer]
+    scale: Scale,
+    settings: Settings,
+    observer_for: Callable[[Experiment], Observer],
+    stopping: Stopping = lambda: False,
 ) -> Iterator[tuple[Experiment, Outcome]]:
     """Run every shipped experiment, or go on where an earlier call stopped; yields each with what came of it.
 
@@ -45,7 +50,7 @@ def reproduce(
     """
     with _cluster(settings):
         for experiment in reproduced_experiments(scale):
-            yield experiment, run_experiment(experiment, settings, observer_for(experiment))
+            yield experiment, run_experiment(experiment, settings, observer_for(experiment), stopping)
 
 
 @contextmanager

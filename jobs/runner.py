@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal
 
 import pyarrow as pa
 
-from cluster.coordinator import ShardDone, ShardProgress
 from cluster.errors import RunFailure
+from cluster.events import ShardDone, ShardEvent
 from cluster.local import compile_for, not_compiled, run_shards
 from cluster.shard import Execution, Shard
 from jobs.analysis.statistics import summarise
+from jobs.lease import BusyError, Lease, lease, this_owner
 from jobs.manifest import add_session, new_manifest
-from jobs.plan import RunKey, all_run_keys, plan_shards
+from jobs.observers import NO_OBSERVER, Ending, Observer
+from jobs.plan import RunKey, all_run_keys, arm_points, plan_shards
+from jobs.progress import JobProgress
 from jobs.spec import Experiment
-from jobs.store import CheckpointFiles, ParquetSink, ResultStore
+from jobs.store import CheckpointFiles, ParquetSink, ResultStore, StoreError
 from jobs.validation import check
 
 Placement = Literal["actors", "packed", "local"]
-Event = tuple[Shard, ShardProgress | ShardDone]
+Stopping = Callable[[], bool]
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Settings:
         Of the Ray that is started; None for all that Ray finds, which heeds the limits of a container.
     fresh:
         Forget earlier results.
+    job:
+        Id of the submitted job that this process is; empty for none.
     """
 
     results: str = "results"
@@ -55,22 +60,7 @@ class Settings:
     fresh: bool = False
     dashboard: bool = True
     execution: Execution = field(default_factory=Execution)
-
-
-class Observer:
-    """Told of what happens; this one does nothing."""
-
-    def compiling(self) -> None:
-        """Compiled functions are made, once per installation."""
-
-    def joined(self, dashboard_url: str, num_cpus: int) -> None:
-        """The cluster is there."""
-
-    def planned(self, shards: Sequence[Shard], num_finished: int) -> None:
-        """What is to be done, and how many runs were done before."""
-
-    def progressed(self, shard: Shard, event: ShardProgress | ShardDone) -> None:
-        """A shard went on."""
+    job: str = ""
 
 
 @dataclass
@@ -82,14 +72,24 @@ class Outcome:
     failures: list[RunFailure] = field(default_factory=list)
     num_computed: int = 0
     """Runs computed in this session."""
+    num_restarts: int = 0
+    """How often a shard had to begin again since its processes had died."""
     seconds: float = 0.0
     """From the first shard to the last row, the cluster's start apart."""
+    was_stopped: bool = False
+    """Whether it was asked to stop before all was done."""
 
 
-def run_experiment(experiment: Experiment, settings: Settings, observer: Observer | None = None) -> Outcome:
+def run_experiment(
+    experiment: Experiment,
+    settings: Settings,
+    observer: Observer = NO_OBSERVER,
+    stopping: Stopping = lambda: False,
+) -> Outcome:
     """Compute all runs that are missing, and make the summary.
 
-    Interrupting it leaves every finished shard stored, and the others at their last checkpoint.
+    Once ``stopping()`` is true, the shards under way write checkpoints, and what is finished is summarised. An
+    exception that interrupts it leaves every finished shard stored, and the others at their last checkpoint.
 
     Raises
     ------
@@ -97,25 +97,59 @@ def run_experiment(experiment: Experiment, settings: Settings, observer: Observe
         If the experiment cannot be built; before anything is started or written.
     StoreError
         If the results cannot be written.
+    BusyError
+        If another job is computing them.
     ClusterError
         If the cluster cannot be reached, or loses a shard too often.
     """
-    observer = observer or Observer()
     check(experiment, settings.arms)
     store = ResultStore.of(experiment, settings.results)
+    outcome = Outcome(store, pa.table({}))
+    ending: Ending = "broken"
+    with _held(store, settings.job, observer) as held:
+        try:
+            _work(experiment, settings, store, observer, outcome, lambda: stopping() or held.is_lost)
+            if held.is_lost:
+                message = f"{store.folder.location()}: another job has taken these results over; this one has ended"
+                raise BusyError(message)
+            ending = "stopped" if outcome.was_stopped else "failed" if outcome.failures else "done"
+        finally:
+            observer.ended(ending)
+    return outcome
+
+
+@contextmanager
+def _held(store: ResultStore, job: str, observer: Observer) -> Iterator[Lease]:
+    with ExitStack() as stack:
+        try:
+            held = stack.enter_context(lease(store.folder, this_owner(job), observer.waiting))
+        except OSError as error:
+            message = f"{store.folder.location()}: found a results folder that cannot be written to: {error}"
+            raise StoreError(message) from error
+        yield held
+
+
+def _work(
+    experiment: Experiment,
+    settings: Settings,
+    store: ResultStore,
+    observer: Observer,
+    outcome: Outcome,
+    stopping: Stopping,
+) -> None:
     store.open_for_writing(experiment, fresh=settings.fresh)
     finished = store.finished()
-    outcome = Outcome(store, pa.table({}))
     if _is_complete(experiment, settings.arms, finished):
-        observer.planned([], len(finished))
+        progress = JobProgress()
+        progress.planned([], finished)
+        observer.planned(progress)
         _summarise(experiment, store, outcome)
-        return outcome
+        return
     try:
-        _compute(experiment, settings, store, finished, observer, outcome)
+        _compute(experiment, settings, store, finished, observer, outcome, stopping)
     finally:
         # Also of a job that was interrupted or broke off: what is finished can be read like any result.
         _summarise(experiment, store, outcome)
-    return outcome
 
 
 def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
@@ -135,25 +169,31 @@ def _compute(
     finished: Collection[RunKey],
     observer: Observer,
     outcome: Outcome,
+    stopping: Stopping,
 ) -> None:
-    selectors = {spec.selector.type if spec.selector else "fixed" for spec in experiment.arms.values()}
+    arms = [point.experiment.arms[arm] for point, arm in arm_points(experiment, settings.arms)]
+    selectors = {"fixed", *(spec.selector.type for spec in arms if spec.selector)}
     if not_compiled(selectors):
         observer.compiling()
         compile_for(selectors)
-    clock = _ArmClock()
-    with _player(experiment, settings, store, observer) as (num_cpus, play):
+    clock, progress = _ArmClock(), JobProgress()
+    with _player(experiment, settings, store, observer, stopping) as (num_cpus, play):
         shards = plan_shards(experiment, settings.shard_size, settings.arms, finished, num_cpus)
-        observer.planned(shards, len(finished))
+        progress.planned(shards, finished)
+        observer.planned(progress)
         began, started = datetime.now(UTC), time.monotonic()
         try:
             for shard, event in play(shards):
-                observer.progressed(shard, event)
+                progress.progressed(shard, event)
+                observer.progressed(shard, event, progress)
                 if isinstance(event, ShardDone):
                     clock.add(shard, event)
                     outcome.failures += event.failures
                     outcome.num_computed += len(shard.runs) - len(event.failures)
+            outcome.was_stopped = clock.num_shards < len(shards)
         finally:
             outcome.seconds = time.monotonic() - started
+            outcome.num_restarts = progress.num_restarts
             manifest = store.manifest() or new_manifest(experiment)
             store.write_manifest(
                 add_session(manifest, experiment, began, outcome.seconds, settings.placement, num_cpus, clock.arms)
@@ -162,20 +202,21 @@ def _compute(
 
 @contextmanager
 def _player(
-    experiment: Experiment, settings: Settings, store: ResultStore, observer: Observer
-) -> Iterator[tuple[int, Callable[[Sequence[Shard]], Iterator[Event]]]]:
+    experiment: Experiment, settings: Settings, store: ResultStore, observer: Observer, stopping: Stopping
+) -> Iterator[tuple[int, Callable[[Sequence[Shard]], Iterator[tuple[Shard, ShardEvent]]]]]:
     """Something that plays shards, and how many CPUs it has."""
     sink, checkpoints = ParquetSink(store.folder), CheckpointFiles(store.folder)
     if settings.placement == "local":
-        yield 1, lambda shards: run_shards(shards, sink, checkpoints, settings.execution)
+        yield 1, lambda shards: run_shards(shards, sink, checkpoints, settings.execution, stopping)
         return
     # Ray is imported only where it is used: a bad experiment file is refused in a fraction of its import time.
-    from cluster.launch import ShardPool, ray_cluster
+    from cluster.launch import ray_cluster
+    from cluster.pool import ShardPool
 
     with ray_cluster(settings.address, settings.num_cpus, dashboard=settings.dashboard) as info:
-        observer.joined(info.dashboard_url, info.num_cpus)
+        observer.joined(info.dashboard_url, info.num_cpus, info.log_folder)
         pool = ShardPool(experiment.name, settings.placement, sink, checkpoints, settings.execution)
-        yield info.num_cpus, pool.run
+        yield info.num_cpus, lambda shards: pool.run(shards, stopping)
 
 
 class _ArmClock:
@@ -183,9 +224,11 @@ class _ArmClock:
 
     def __init__(self) -> None:
         self.arms: dict[str, dict[str, float]] = {}
+        self.num_shards = 0
         self._spans: dict[str, tuple[float, float]] = {}
 
     def add(self, shard: Shard, done: ShardDone) -> None:
+        self.num_shards += 1
         now = time.monotonic()
         first, _ = self._spans.get(shard.arm.arm, (now - done.seconds, now))
         first = min(first, now - done.seconds)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -11,37 +13,33 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from cluster.coordinator import ShardDone, ShardProgress
+from cluster.events import ShardEvent, ShardRestarted, ShardWaiting
 from cluster.shard import Shard
-from jobs.analysis.claims import Ruling, Verdict, cells
 from jobs.analysis.results_table import results_table
 from jobs.design import SELECTION_AWARE, Prediction
 from jobs.manifest import arm_timings
-from jobs.runner import Observer
+from jobs.observers import Ending, Observer
+from jobs.progress import ArmProgress, JobProgress
+
+_FIRST_LINE_SECONDS, _MOST_LINE_SECONDS = 5.0, 60.0
 
 
 class TerminalObserver(Observer):
-    """A progress bar per arm; plain lines where the output is no terminal."""
+    """A progress bar per arm; in a log, where bars would be rubbish, a line now and then."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._progress = Progress(
-            TextColumn("{task.description:>12}"),
-            BarColumn(),
-            TextColumn("{task.percentage:3.0f} %  {task.fields[note]}"),
-            TimeElapsedColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
-        self._tasks: dict[str, TaskID] = {}
-        self._shards: dict[tuple[str, str, int], tuple[int, int, int]] = {}
-        self._num_runs: dict[str, int] = {}
+        self._view = _Bars(console) if console.is_terminal else _Lines(console)
+
+    def waiting(self, message: str) -> None:
+        """Say why nothing moves."""
+        self._console.print(message, highlight=False)
 
     def compiling(self) -> None:
         """Say why nothing moves."""
         self._console.print("compiling, this once: about half a minute", highlight=False)
 
-    def joined(self, dashboard_url: str, num_cpus: int) -> None:
+    def joined(self, dashboard_url: str, num_cpus: int, log_folder: Path) -> None:
         """Say where the dashboard is."""
         self._console.print(f"Ray with {num_cpus} CPUs", highlight=False)
         if dashboard_url:
@@ -50,35 +48,100 @@ class TerminalObserver(Observer):
                 highlight=False,
             )
 
-    def planned(self, shards: Sequence[Shard], num_finished: int) -> None:
-        """Start the bars."""
-        if num_finished:
-            self._console.print(f"{num_finished} runs were finished before", highlight=False)
-        episodes: dict[str, int] = {}
-        for shard in shards:
-            self._num_runs[shard.arm.arm] = self._num_runs.get(shard.arm.arm, 0) + len(shard.runs)
-            episodes[shard.arm.arm] = episodes.get(shard.arm.arm, 0) + len(shard.runs) * shard.arm.num_episodes
-        for arm, total in episodes.items():
-            self._tasks[arm] = self._progress.add_task(arm, total=total, note="waiting")
+    def planned(self, progress: JobProgress) -> None:
+        """Begin to show how far it has come."""
+        before = sum(arm.runs_done for arm in progress.arms().values())
+        if before:
+            self._console.print(f"{before} runs were finished before", highlight=False)
+        self._view.begin(progress.arms())
+
+    def progressed(self, shard: Shard, event: ShardEvent, progress: JobProgress) -> None:
+        """Show what has changed."""
+        if isinstance(event, ShardRestarted):
+            what = f"{shard.label}: its processes died; again in {event.delay_seconds:.1f} s, from its checkpoint"
+            self._console.print(what, highlight=False)
+        if isinstance(event, ShardWaiting):
+            self._console.print("the cluster has no CPU at the moment: waiting for a worker to join", highlight=False)
+        self._view.show(progress.arms)
+
+    def ended(self, ending: Ending) -> None:
+        """Leave what is shown as it is."""
+        self._view.end()
+
+
+class _Bars:
+    """One bar per arm, for a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description:>12}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %  {task.fields[note]}"),
+            TimeElapsedColumn(),
+            console=console,
+        )
+        self._tasks: dict[str, TaskID] = {}
+
+    def begin(self, arms: Mapping[str, ArmProgress]) -> None:
+        for name, arm in arms.items():
+            if arm.episodes_planned:
+                self._tasks[name] = self._progress.add_task(name, total=arm.episodes_planned, note="waiting")
         self._progress.start()
 
-    def progressed(self, shard: Shard, event: ShardProgress | ShardDone) -> None:
-        """Move the bar of the shard's arm."""
-        if isinstance(event, ShardDone):
-            self._shards[shard.key] = (len(shard.runs), len(shard.runs) * shard.arm.num_episodes, event.steps)
-        else:
-            self._shards[shard.key] = (event.num_finished, event.episodes, event.steps)
-        arm = shard.arm.arm
-        mine = [values for (name, _, _), values in self._shards.items() if name == arm]
-        runs, episodes, steps = (sum(column) for column in zip(*mine, strict=True))
-        note = f"{runs}/{self._num_runs[arm]} runs, {steps / 1e6:,.1f} M steps"
-        self._progress.update(self._tasks[arm], completed=episodes, note=note)
-        if isinstance(event, ShardDone) and not self._console.is_terminal and runs == self._num_runs[arm]:
-            self._console.print(f"{arm}: {note}", highlight=False)
+    def show(self, arms: Callable[[], Mapping[str, ArmProgress]]) -> None:
+        for name, arm in arms().items():
+            if name in self._tasks and (arm.steps or arm.runs_done):
+                note = f"{arm.runs_done}/{arm.runs_planned} runs, {arm.steps / 1e6:,.1f} M steps"
+                self._progress.update(self._tasks[name], completed=arm.episodes, note=note)
 
-    def stop(self) -> None:
-        """Leave the bars as they are."""
+    def end(self) -> None:
         self._progress.stop()
+
+
+class _Lines:
+    """One line for all arms every few seconds, later every minute, for a file or the log of a job."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._began = self._last = time.monotonic()
+        self._arms: Callable[[], Mapping[str, ArmProgress]] = dict
+        self._shown = ""
+
+    def begin(self, arms: Mapping[str, ArmProgress]) -> None:
+        self._began = self._last = time.monotonic()
+
+    def show(self, arms: Callable[[], Mapping[str, ArmProgress]]) -> None:
+        self._arms = arms
+        now = time.monotonic()
+        pause = min(max(_FIRST_LINE_SECONDS, 0.2 * (now - self._began)), _MOST_LINE_SECONDS)
+        if now - self._last >= pause:
+            self._last = now
+            self._print(now)
+
+    def end(self) -> None:
+        self._print(time.monotonic())
+
+    def _print(self, now: float) -> None:
+        line = progress_line(self._arms(), now - self._began)
+        if line != self._shown and self._arms():
+            self._console.print(line, highlight=False)
+        self._shown = line
+
+
+def progress_line(arms: Mapping[str, ArmProgress], seconds: float) -> str:
+    """All arms in one line, with the pace since the beginning.
+
+    >>> progress_line({"APEL": ArmProgress(runs_planned=4, runs_done=1, episodes_planned=10, episodes=5)}, 2.0)
+    '[0:00:02] APEL 1/4 (50 %) · 0.0 M steps/s'
+    """
+    parts = []
+    for name, arm in arms.items():
+        share = f" ({arm.episodes / arm.episodes_planned:.0%})".replace("%", " %") if arm.episodes_planned else ""
+        failed = f", {arm.runs_failed} failed" if arm.runs_failed else ""
+        parts.append(f"{name} {arm.runs_done}/{arm.runs_planned}{share}{failed}")
+    steps = sum(arm.steps for arm in arms.values()) / max(seconds, 1e-9) / 1e6
+    hours, rest = divmod(int(seconds), 3600)
+    return f"[{hours}:{rest // 60:02d}:{rest % 60:02d}] {' · '.join(parts)} · {steps:,.1f} M steps/s"
 
 
 def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:
@@ -106,19 +169,3 @@ def design_table(predictions: Sequence[Prediction]) -> Table:
         cells += [f"{row.performance:.4g}"] if row.performance is not None else []
         table.add_row(*cells, style="bold" if row.predicted_by == SELECTION_AWARE else None)
     return table
-
-
-def verdict_table(verdicts: Sequence[Verdict]) -> Table:
-    """The ledger of claims, short: its page has the words. ``before`` is what was expected."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "before", "runs", "at cap"):
-        is_text = heading in {"claim", "claimed", "verdict", "before"}
-        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
-    for verdict in verdicts:
-        name, _, _, _, value, interval, claimed, ruling, expected, runs, censored, _ = cells(verdict)
-        colour = _COLOURS[verdict.ruling]
-        table.add_row(name, value, interval, claimed, f"[{colour}]{ruling}[/]", expected, runs, censored)
-    return table
-
-
-_COLOURS: dict[Ruling, str] = {"holds": "green", "fails": "red", "undecided": "yellow", "missing": "dim"}

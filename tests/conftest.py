@@ -8,6 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.ray_head import Head, ray_head
+from tests.s3_server import Bucket, bucket
+
+# Before pyarrow looks for credentials: those of whoever runs the tests have no business here.
+os.environ |= {"AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing", "AWS_DEFAULT_REGION": "us-east-1"}
+os.environ["AWS_EC2_METADATA_DISABLED"] = "true"
 # Before Ray is imported: its first local start would write a token to the home folder and expect it of every client.
 os.environ["RAY_AUTH_MODE"] = "disabled"
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
@@ -36,6 +42,13 @@ record: all
 """
 
 
+@pytest.fixture(scope="session")
+def s3() -> Iterator[Bucket]:
+    """A bucket of a real S3-compatible server on loopback, started once."""
+    with bucket() as started:
+        yield started
+
+
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     """The file of an experiment that takes a fraction of a second."""
@@ -59,3 +72,10 @@ def ray_session() -> Iterator[None]:
     )
     yield
     ray.shutdown()
+
+
+@pytest.fixture(scope="session")
+def head() -> Iterator[Head]:
+    """A cluster to submit jobs to, started once, as ``ray start`` does."""
+    with ray_head() as running:
+        yield running

@@ -12,11 +12,13 @@ import pytest
 from apel.book import EpisodeRows
 from apel.learners.base import Played, State
 from cluster.checkpoint import CheckpointError, pack, unpack
-from cluster.coordinator import Coordinator, RunRows, ShardDone, ShardProgress
+from cluster.coordinator import Coordinator
+from cluster.events import ShardDone, ShardProgress
 from cluster.local import LocalHosts
+from cluster.protocols import RunRows
 from cluster.shard import Execution, Shard
 from jobs.plan import plan_shards
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 
 
 class Memory:
@@ -181,7 +183,7 @@ class FailingHosts(LocalHosts):
 @pytest.mark.parametrize("rounds", [1, 2, 7, 30])
 def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
     """Whenever the hosts are lost, the rows are those of an undisturbed shard."""
-    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0, checkpoint_share=1.0)
     undisturbed, memory = Memory(), Memory()
     play(shard_of(small), undisturbed, execution)
     with pytest.raises(ConnectionError):
@@ -196,7 +198,7 @@ def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
 @pytest.mark.parametrize("damage", ["cut off", "another version", "another shape"])
 def test_unusable_checkpoint_costs_no_result(small: Path, damage: str) -> None:
     """A checkpoint that cannot be gone on from is as good as none: the shard is played again."""
-    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0, checkpoint_share=1.0)
     undisturbed, memory = Memory(), Memory()
     play(shard_of(small), undisturbed, execution)
     with pytest.raises(ConnectionError):
@@ -214,7 +216,7 @@ def test_unusable_checkpoint_costs_no_result(small: Path, damage: str) -> None:
 
 def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:
     """The state of a user's learner is part of the checkpoint."""
-    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0)
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0, checkpoint_share=1.0)
     overrides = (*with_user_code(""), "environment.options.fault=''")
     undisturbed, memory = Memory(), Memory()
     play(shard_of(small, *overrides), undisturbed, execution)
@@ -227,7 +229,7 @@ def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:
 
 def test_state_that_cannot_be_stored(small: Path) -> None:
     """A learner whose state is not plain data is named at the first checkpoint."""
-    execution = Execution(streak_episodes=1, checkpoint_seconds=0.0)
+    execution = Execution(streak_episodes=1, checkpoint_seconds=0.0, checkpoint_share=1.0)
     with pytest.raises(CheckpointError, match=r"generator: found object, expected only"):
         play(shard_of(small, *with_user_code("", "tests.user_code:Forgetful")), Memory(), execution)
 

@@ -18,7 +18,7 @@ import pytest
 
 from cluster.shard import Execution
 from jobs.runner import Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from tests.same_rows import assert_same, folder_of
 
 # Rounds of one episode make the job long enough to be hit, and its checkpoints many.
@@ -89,7 +89,7 @@ def test_killed_driver(small: Path, undisturbed: Path, tmp_path: Path) -> None:
     """After the driver was killed the same command goes on where it stopped, to the same rows."""
     overrides = [part for override in OVERRIDES for part in ("--set", override)]
     program = (
-        "import sys; from cluster.shard import Execution; from jobs.runner import *; from jobs.spec import *; "
+        "import sys; from cluster.shard import Execution; from jobs.runner import *; from jobs.spec_files import *; "
         "run_experiment(load_experiment(sys.argv[1], sys.argv[3:]), Settings(results=sys.argv[2], shard_size=3, "
         "dashboard=False, num_cpus=2, execution=Execution(streak_episodes=1, checkpoint_seconds=0.2)))"
     )

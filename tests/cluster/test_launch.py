@@ -10,12 +10,12 @@ import pytest
 
 from apel.seeding import Role, make_key, run_seeds
 from cluster.checkpoint import CheckpointError
-from cluster.coordinator import ShardDone
 from cluster.errors import ClusterError, ShardLostError
+from cluster.events import ShardDone
 from cluster.retry import RetryPolicy
 from cluster.shard import Execution
 from jobs.plan import plan_shards
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from tests.cluster.test_coordinator import Memory, with_user_code
 
 
@@ -44,7 +44,7 @@ class Doomed(Memory):
 @pytest.mark.ray
 def test_gives_up(ray_session: None, small: Path) -> None:
     """A shard whose processes die again and again is given up after a bounded number of faults."""
-    from cluster.launch import ShardPool
+    from cluster.pool import ShardPool
 
     shards = plan_shards(load_experiment(str(small)), 100, ["APEL"], set(), 1)
     retry = RetryPolicy(max_attempts=2, first_delay_seconds=0.01)
@@ -59,7 +59,7 @@ def test_speaking_names(ray_session: None, small: Path) -> None:
     """Actors carry the experiment, the gang and their role; they are gone when the job is over."""
     import ray
 
-    from cluster.launch import ShardPool
+    from cluster.pool import ShardPool
 
     shards = plan_shards(load_experiment(str(small)), 100, ["APEL"], set(), 1)
     names: set[str] = set()
@@ -76,7 +76,7 @@ def test_speaking_names(ray_session: None, small: Path) -> None:
 @pytest.mark.ray
 def test_errors_of_actors_come_as_they_were(ray_session: None, small: Path) -> None:
     """What a learner raises in its actor is told in one line, as in this process."""
-    from cluster.launch import ShardPool
+    from cluster.pool import ShardPool
 
     unlucky = make_key(run_seeds(1234, 2)[1], Role.LEARNER, 1)
     overrides = (*with_user_code("", "tests.user_code:Superstitious"), f"learners.W.unlucky={unlucky}")
@@ -90,11 +90,17 @@ def test_errors_of_actors_come_as_they_were(ray_session: None, small: Path) -> N
 @pytest.mark.ray
 def test_state_that_cannot_be_stored(ray_session: None, small: Path) -> None:
     """A learner whose state no checkpoint can hold ends the job with the place, not with a retry."""
-    from cluster.launch import ShardPool
+    from cluster.pool import ShardPool
 
     overrides = with_user_code("", "tests.user_code:Forgetful")
     shards = plan_shards(load_experiment(str(small), overrides), 100, ["APEL"], set(), 1)
-    pool = ShardPool("forgetful", "actors", Memory(), Memory(), Execution(streak_episodes=1, checkpoint_seconds=0.0))
+    pool = ShardPool(
+        "forgetful",
+        "actors",
+        Memory(),
+        Memory(),
+        Execution(streak_episodes=1, checkpoint_seconds=0.0, checkpoint_share=1.0),
+    )
     with pytest.raises(CheckpointError, match=r"generator: found object"):
         list(pool.run(shards))
     assert pool.num_restarts == 0

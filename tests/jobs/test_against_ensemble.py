@@ -25,7 +25,8 @@ from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
 from jobs.plan import arm_plan, arm_points, run_plan
 from jobs.runner import Settings, run_experiment
-from jobs.spec import LABEL, Experiment, shipped_experiments, validate
+from jobs.spec import LABEL, Experiment, validate
+from jobs.spec_files import shipped_experiments
 from jobs.yaml_source import Source
 from tests.apel.rounds import assert_same_rows, row_of
 from tests.same_rows import folder_of

@@ -14,7 +14,7 @@ from cluster.coordinator import Coordinator
 from cluster.shard import Execution
 from jobs.plan import plan_shards
 from jobs.runner import Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from tests.cluster.test_coordinator import FailingHosts, Memory
 from tests.same_rows import assert_same, episode_rows, folder_of, run_rows
 
@@ -108,7 +108,7 @@ def test_goes_on_from_the_checkpoint(mixed: Path, arm: str, rounds: int) -> None
     shard = plan_shards(load_experiment(str(mixed), ["runs=2"]), 100, [arm], set(), 1)[-1]
     # An arm of one learner has streaks ten times as long.
     undisturbed, memory = Memory(), Memory()
-    execution = Execution(streak_episodes=1, streak_steps=5, checkpoint_seconds=0.0)
+    execution = Execution(streak_episodes=1, streak_steps=5, checkpoint_seconds=0.0, checkpoint_share=1.0)
     list(Coordinator(FailingHosts(10**6), undisturbed, undisturbed, execution).run(shard))
     with pytest.raises(ConnectionError):
         list(Coordinator(FailingHosts(rounds), memory, memory, execution).run(shard))

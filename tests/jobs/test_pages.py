@@ -14,7 +14,7 @@ from PIL import Image
 
 from jobs.cli import main
 from jobs.runner import Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from tests.same_rows import folder_of
 
 

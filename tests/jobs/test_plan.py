@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jobs.plan import all_run_keys, arm_points, default_shard_size, draw_variables, plan_shards
-from jobs.spec import Experiment, load_experiment, validate
+from jobs.spec import Experiment, validate
+from jobs.spec_files import load_experiment
 from jobs.yaml_source import SpecError, parse
 from tests.conftest import SMALL
 

@@ -12,7 +12,7 @@ from jobs import reproduction
 from jobs.cli import main
 from jobs.plan import arm_points
 from jobs.reproduction import reproduced_experiments, scaled
-from jobs.spec import load_experiment, shipped_experiments, shipped_galleries
+from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries
 
 FIGURES = {
     "3.2", "3.3", "3.4", "4.1", "4.4", "4.5", "4.7", "4.8", "4.11", "4.12", "4.13", "4.14", "4.15", "4.18", "4.19",

@@ -16,7 +16,7 @@ import pytest
 
 from jobs.cli import main
 from jobs.runner import Outcome, Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from jobs.store import ResultStore
 from tests.same_rows import assert_same, folder_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from cluster.shard import Execution
 from jobs.runner import Settings, run_experiment
-from jobs.spec import load_experiment
+from jobs.spec_files import load_experiment
 from tests.conftest import SMALL
 from tests.same_rows import assert_same, folder_of
 

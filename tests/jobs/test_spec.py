@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from apel.metrics import Criterion, Threshold
-from jobs.spec import load_experiment, set_path, shipped_experiments, validate
+from jobs.spec import set_path, validate
+from jobs.spec_files import load_experiment, shipped_experiments
 from jobs.validation import check
 from jobs.yaml_source import SpecError, parse
 from tests.conftest import SMALL

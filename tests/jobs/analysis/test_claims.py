@@ -25,7 +25,7 @@ from jobs.analysis.claims import (
 )
 from jobs.cli import app
 from jobs.plan import arm_points
-from jobs.spec import load_experiment, shipped_experiments
+from jobs.spec_files import load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
 from jobs.yaml_source import SpecError
 

@@ -16,7 +16,8 @@ from jobs.analysis.plotting.curve_plots import _smoothed
 from jobs.analysis.plotting.samples import samples, selected
 from jobs.plots import ArmPlot
 from jobs.runner import Settings, run_experiment
-from jobs.spec import Experiment, Gallery, load_experiment, shipped_experiments, shipped_galleries
+from jobs.spec import Experiment, Gallery
+from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries
 from jobs.store import ResultStore
 from jobs.yaml_source import SpecError
 

@@ -1,0 +1,174 @@
+"""The state of a shard under way, without any effect on the outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from apel.book import BAD_SELECTION, FAILED, FINISHED, RUNNING, EpisodeRows, bad_selection_message, replay
+from apel.building import make_selector
+from apel.environments import World
+from apel.learners.base import Failure, Played, State
+from apel.selection import Selector
+from cluster.events import ShardProgress
+from cluster.learner_host import open_shard_book
+from cluster.protocols import RunRows
+from cluster.shard import Shard, recorded_episodes
+
+CHECKPOINT_VERSION = 2
+"""To be raised whenever an older checkpoint would go on to other rows."""
+
+
+@dataclass
+class Progress:
+    """What a checkpoint holds besides book and hosts."""
+
+    rows: list[EpisodeRows] = field(default_factory=list)
+    num_parts: int = 0
+    rounds: int = 0
+    failures: list[tuple[Failure, int]] = field(default_factory=list)
+    """With the learner in which each happened."""
+
+
+class Play:
+    """Book, rows and failures of a shard."""
+
+    def __init__(self, shard: Shard, worlds: Sequence[World]) -> None:
+        self.progress = Progress()
+        self._worlds = worlds
+        self._selector: Selector = make_selector(shard.arm.selector)
+        self.book = open_shard_book(shard, worlds, self._selector)
+        self._recorded = recorded_episodes(shard.arm.recording, shard.arm.num_episodes)
+        self._num_hosts = len(shard.arm.learner_names)
+        self._num_runs = len(shard.runs)
+        self._has_criterion = shard.arm.criterion is not None
+        self._forget_recent()
+
+    def is_running(self) -> bool:
+        """Whether any run is not over."""
+        return bool(np.any(self.book.status == RUNNING))
+
+    def orders(self) -> list[list[int]]:
+        """Which runs each host is to play."""
+        running = self.book.status == RUNNING
+        return [np.flatnonzero(running & (self.book.learner == host)).tolist() for host in range(self._num_hosts)]
+
+    def take_in(self, answers: Sequence[Played], orders: Sequence[Sequence[int]]) -> None:
+        """Replay what the hosts played; drop the runs that failed."""
+        self.progress.rounds += 1
+        for answer, order in zip(answers, orders, strict=True):
+            assert set(answer.episodes.run.tolist()) <= set(order)  # noqa: S101 - a host plays what it was told to
+            rows = replay(self.book, self._selector, answer.episodes, self._recorded)
+            if len(rows.run):
+                self.progress.rows.append(rows)
+        self._played += [len(answer.episodes.run) for answer in answers]
+        self._return += sum(float(answer.episodes.episode_return.sum()) for answer in answers)
+        for host, answer in enumerate(answers):
+            self.fail(answer.failures, host)
+        for run in np.flatnonzero(self.book.status == BAD_SELECTION).tolist():
+            self.fail([Failure(run, int(self.book.episode[run]), bad_selection_message(self.book, run))], 0)
+
+    def fail(self, failures: Sequence[Failure], learner: int) -> None:
+        """Take failed runs out of the round."""
+        for failure in failures:
+            if self.book.status[failure.run] != FAILED:
+                self.progress.failures.append((failure, learner))
+                self.book.status[failure.run] = FAILED
+
+    def fail_all(self, error: str) -> None:
+        """The shard's learners could not even be built."""
+        self.fail([Failure(run, 0, error) for run in range(self._num_runs)], 0)
+
+    def num_rows(self) -> int:
+        """Rows in memory."""
+        return sum(len(rows.run) for rows in self.progress.rows)
+
+    def num_episodes(self) -> int:
+        """Episodes played so far, over all runs."""
+        return int(self.book.episode.sum())
+
+    def shown(self, round_seconds: float, checkpoint_seconds: float) -> ShardProgress:
+        """The progress to be reported; what happened since the last report is counted from here on anew."""
+        over = self.book.status != RUNNING
+        episodes = np.where(over, self.book.num_episodes, self.book.episode)
+        progress = ShardProgress(
+            num_finished=int(over.sum()),
+            episodes=int(episodes.sum()),
+            steps=int(self.book.steps.sum()),
+            num_failed=int((over & (self.book.status != FINISHED)).sum()),
+            train_time=int(self._train_time().sum()) if self._has_criterion else 0,
+            rounds=self.progress.rounds,
+            round_seconds=round_seconds,
+            checkpoint_seconds=checkpoint_seconds,
+            played=tuple(self._played.tolist()),
+            episode_return=self._return,
+            concentration=self._mean_concentration(),
+        )
+        self._forget_recent()
+        return progress
+
+    def _forget_recent(self) -> None:
+        self._played = np.zeros(self._num_hosts, dtype=np.int64)
+        self._return = 0.0
+
+    def _mean_concentration(self) -> tuple[float, ...]:
+        running = self.book.status == RUNNING
+        # The third block of every selector's state; see apel.selection.
+        block = self.book.selector_state[running, 2 * self._num_hosts : 3 * self._num_hosts]
+        return () if not len(block) or np.isnan(block).any() else tuple(block.mean(axis=0).tolist())
+
+    def _train_time(self) -> NDArray[np.int64]:
+        """Of each run that finished: when its criterion held, or how long it was played without."""
+        done = self.book.status == FINISHED
+        time = self.book.train_time[done]
+        return np.where(time < 0, self.book.episode[done], time)
+
+    def run_rows(self) -> RunRows:
+        """The rows of the runs that were finished, failed ones left out."""
+        done = np.flatnonzero(self.book.status == FINISHED)
+        return RunRows(
+            position=done,
+            train_time=self._train_time(),
+            censored=self.book.train_time[done] < 0,
+            episodes=self.book.episode[done],
+            steps=self.book.steps[done],
+            steady_state=self._steady_state()[done],
+            info=tuple(self._worlds[run].info for run in done.tolist()),
+        )
+
+    def _steady_state(self) -> NDArray[np.float64]:
+        episodes = self.book.num_episodes - self.book.late_from
+        ended = (self.book.episode == self.book.num_episodes) & (episodes > 0)
+        return np.where(ended, self.book.late_return / max(episodes, 1), np.nan)
+
+    def checkpoint(self, states: Sequence[State]) -> dict[str, Any]:
+        """Everything, as a state tree."""
+        if len(self.progress.rows) > 1:
+            # In one piece: packing takes a while for every array, and rounds have six each.
+            columns = zip(*self.progress.rows, strict=True)
+            self.progress.rows = [EpisodeRows._make(np.concatenate(column) for column in columns)]
+        return {
+            "version": CHECKPOINT_VERSION,
+            "hosts": list(states),
+            "book": [np.array(column) for column in self.book],
+            "rows": [list(rows) for rows in self.progress.rows],
+            "num_parts": self.progress.num_parts,
+            "rounds": self.progress.rounds,
+            "failures": [[*failure, learner] for failure, learner in self.progress.failures],
+        }
+
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Go back to what `checkpoint` returned."""
+        for column, values in zip(self.book, stored["book"], strict=True):
+            if isinstance(column, np.ndarray):
+                column[...] = values
+        self.progress = Progress(
+            rows=[EpisodeRows(*rows) for rows in stored["rows"]],
+            num_parts=stored["num_parts"],
+            rounds=stored["rounds"],
+            failures=[(Failure(*failure), learner) for *failure, learner in stored["failures"]],
+        )

@@ -1,0 +1,226 @@
+"""Whose results these are at the moment: one job at a time computes an experiment in a folder.
+
+Two jobs in one folder would cut the same runs into different shards and store some of them twice. Stores such as S3
+offer no file lock, so that a *claim* is a file of its own per job, and the protocol needs no more than that a file
+which was written is seen by whoever lists the folder afterwards:
+
+1. write a claim that says ``wanting``;
+2. look at all claims: where another one holds, or wants and comes before this one by name, take this one back and give
+   up; where another one wants and comes after, wait for it to see the same and give up;
+3. otherwise let the claim say ``holding``, and renew it, with a counter that grows, for as long as the job goes on.
+
+A claim whose counter stands still is a dead job's. How long it stands still is measured on the watch of whoever looks,
+never by comparing the clocks of two machines: a clock that jumps changes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from cluster.storage import Folder
+
+_FOLDER = "claims"
+
+
+class BusyError(Exception):
+    """Another job is computing into the same results. The message says which."""
+
+
+@dataclass(frozen=True)
+class Owner:
+    """Who claims results: the machine (or container), the process, and the submitted job if it is one."""
+
+    machine: str
+    process: int
+    started: str
+    """Tells a process from an earlier one of the same number."""
+    job: str
+
+    def __str__(self) -> str:
+        job = f"job {self.job}, " if self.job else ""
+        return f"{job}process {self.process} on {self.machine.split('/')[0]}"
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds between two signs of life, without any until a claim counts as dead, and between two looks."""
+
+    renew_seconds: float = 5.0
+    dead_seconds: float = 30.0
+    look_seconds: float = 0.5
+
+
+def this_owner(job: str = "") -> Owner:
+    """The owner that stands for the current process."""
+    return Owner(_machine(), os.getpid(), _start_of(os.getpid()) or "", job)
+
+
+def is_gone(owner: Owner, me: Owner) -> bool:
+    """Whether ``owner`` was a process of this machine that is no longer there; False where that cannot be said."""
+    return owner.machine == me.machine and bool(owner.started) and _start_of(owner.process) != owner.started
+
+
+class Lease:
+    """A claim. `is_lost` says whether another job took the results over, as after a long pause of this process."""
+
+    def __init__(self, folder: Folder, owner: Owner, timing: Timing) -> None:
+        self.name = f"{_FOLDER}/{uuid.uuid4().hex}.json"
+        self._folder, self._owner, self._timing = folder, owner, timing
+        self._count, self._since = 0, datetime.now(UTC).isoformat(timespec="seconds")
+        self._over, self._lost = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._renew, daemon=True, name="apel-lease")
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether nothing may be written any more."""
+        return self._lost.is_set()
+
+    def want(self) -> None:
+        """Give a sign of life before holding."""
+        self._write("wanting")
+
+    def hold(self) -> None:
+        """Hold, and go on giving signs of life."""
+        self._write("holding")
+        for claim in _others(self._folder, self.name).values():
+            # Only after this process had stood still for so long that it was thought dead.
+            if claim["state"] == "holding":
+                raise BusyError(_busy_message(self._folder, claim))
+        self._thread.start()
+
+    def release(self) -> None:
+        """Give the results back."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        with suppress(OSError):
+            self._folder.delete(self.name)
+
+    def _write(self, state: Literal["wanting", "holding"]) -> None:
+        self._count += 1
+        claim = {"state": state, "count": self._count, "since": self._since, "owner": asdict(self._owner)}
+        self._folder.write(self.name, json.dumps(claim).encode())
+
+    def _renew(self) -> None:
+        while not self._over.wait(self._timing.renew_seconds):
+            # A store that does not answer for a while is no reason to end a job: whoever takes over says so here.
+            with suppress(OSError):
+                others = _others(self._folder, self.name).values()
+                if not self._folder.exists(self.name) or any(claim["state"] == "holding" for claim in others):
+                    self._lost.set()
+                    return
+                self._write("holding")
+
+
+@contextmanager
+def lease(
+    folder: Folder, owner: Owner, on_wait: Callable[[str], None], timing: Timing | None = None
+) -> Iterator[Lease]:
+    """Hold the results in ``folder`` for as long as the body runs.
+
+    ``on_wait`` is told where it has to wait to see whether another job is alive.
+
+    Raises
+    ------
+    BusyError
+        If another job holds them.
+    OSError
+        If the folder cannot be written to.
+    """
+    timing = timing or Timing()
+    held = Lease(folder, owner, timing)
+    try:
+        _outlast_others(folder, held, owner, timing, on_wait)
+        held.hold()
+        yield held
+    finally:
+        held.release()
+
+
+def _outlast_others(folder: Folder, mine: Lease, me: Owner, timing: Timing, on_wait: Callable[[str], None]) -> None:
+    """Return once no other claim is alive; see the protocol above."""
+    watch = _Watch(me, timing.dead_seconds)
+    told = False
+    while True:
+        mine.want()
+        others = _others(folder, mine.name)
+        states = {name: watch.look(name, claim, time.monotonic()) for name, claim in others.items()}
+        for name, state in states.items():
+            if state == "dead":
+                folder.delete(name)
+            elif state == "alive" and (others[name]["state"] == "holding" or name < mine.name):
+                raise BusyError(_busy_message(folder, others[name]))
+        unsure = [others[name] for name, state in states.items() if state == "unsure"]
+        if unsure and not told:
+            told = True
+            who = Owner(**unsure[0]["owner"])
+            on_wait(f"waiting up to {timing.dead_seconds:.0f} s to see whether {who} is still at work on these results")
+        if all(state == "dead" for state in states.values()):
+            return
+        time.sleep(timing.look_seconds)
+
+
+class _Watch:
+    """What is known of other claims from looking at them several times."""
+
+    def __init__(self, me: Owner, dead_seconds: float) -> None:
+        self._me, self._dead_seconds = me, dead_seconds
+        self._first: dict[str, tuple[int, float]] = {}
+
+    def look(self, name: str, claim: dict[str, Any], now: float) -> Literal["alive", "dead", "unsure"]:
+        """Whether a claim's job is alive; ``now`` in seconds of a monotonic clock."""
+        owner = Owner(**claim["owner"])
+        if owner.machine == self._me.machine and owner.started:
+            return "dead" if is_gone(owner, self._me) else "alive"
+        count, since = self._first.setdefault(name, (claim["count"], now))
+        if claim["count"] != count:
+            return "alive"
+        return "dead" if now - since > self._dead_seconds else "unsure"
+
+
+def _busy_message(folder: Folder, claim: dict[str, Any]) -> str:
+    return (
+        f"{folder.location()}: found results that {Owner(**claim['owner'])} has been computing since "
+        f"{claim['since']}, expected none at work on them: wait for it, or stop it; two jobs at once would store runs "
+        "twice"
+    )
+
+
+def _others(folder: Folder, mine: str) -> dict[str, dict[str, Any]]:
+    """All claims but one, by name."""
+    return {name: claim for name, claim in _claims(folder).items() if name != mine}
+
+
+def _claims(folder: Folder) -> dict[str, dict[str, Any]]:
+    """All claims by name; one that vanishes while it is read is none."""
+    found = {}
+    for name in folder.names(_FOLDER):
+        with suppress(FileNotFoundError, ValueError):
+            found[f"{_FOLDER}/{name}"] = json.loads(folder.read(f"{_FOLDER}/{name}"))
+    return found
+
+
+def _machine() -> str:
+    """Host name and process namespace: two containers of one host may have the same process numbers."""
+    namespace = Path("/proc/self/ns/pid")
+    return f"{socket.gethostname()}/{namespace.readlink()}" if namespace.is_symlink() else socket.gethostname()
+
+
+def _start_of(process: int) -> str | None:
+    """When a process of this machine began, in the kernel's own count; None where there is none or no /proc."""
+    try:
+        # The second field, the program's name, is in brackets and may hold spaces.
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        return None

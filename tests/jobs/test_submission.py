@@ -1,0 +1,224 @@
+"""Jobs on a real cluster, through its dashboard and token alone: submitted, watched, stopped, gone on with, fetched."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from cluster.monitoring import COUNTERS, GAUGES
+from jobs.runner import Settings, run_experiment
+from jobs.spec_files import load_experiment
+from tests.conftest import SMALL
+from tests.ray_head import BIN, Head
+from tests.same_rows import assert_same, folder_of
+
+LONG_FIELDS = ("episodes=60000", "stop_when_met=false", "record=log", "runs=40")
+LONG = (*(word for field in LONG_FIELDS for word in ("--set", field)), "--arms", "APEL", "--placement", "packed")
+
+pytestmark = pytest.mark.ray
+
+
+@pytest.fixture
+def undisturbed(small: Path, tmp_path: Path) -> Path:
+    """The rows of the small experiment, computed here."""
+    return folder_of(run_experiment(load_experiment(str(small)), Settings(str(tmp_path / "here"), placement="local")))
+
+
+def status(head: Head, job: str, cwd: Path) -> dict[str, object]:
+    """What ``apel status --json`` says."""
+    found: dict[str, object] = json.loads(head.apel("status", job, "--json", cwd=cwd).stdout)
+    return found
+
+
+def wait_until_running(head: Head, job: str, cwd: Path) -> dict[str, object]:
+    """Wait until some episodes were played."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        found = status(head, job, cwd)
+        assert found["state"] in ("pending", "running"), found
+        progress = found["progress"]
+        if isinstance(progress, dict) and any(arm["episodes"] for arm in progress["arms"].values()):
+            return progress
+        time.sleep(0.3)
+    raise AssertionError("no episode was played")
+
+
+def check_metrics(head: Head, job: str) -> None:
+    """Wait until the node exports the series of a running job: all that are named, with the labels that they have."""
+    deadline = time.monotonic() + 40
+    wanted = {f"ray_{name}" for name in (*COUNTERS, *GAUGES)}
+    # What has not happened yet has no series.
+    wanted -= {"ray_apel_restarts_total", "ray_apel_checkpoint_seconds_total", "ray_apel_mean_train_time"}
+    found: set[str] = set()
+    while not wanted <= found and time.monotonic() < deadline:
+        time.sleep(0.5)
+        with urllib.request.urlopen(head.metrics_url, timeout=10) as response:
+            lines = [line for line in response.read().decode().splitlines() if f'apel_job="{job}"' in line]
+        found = {line.partition("{")[0] for line in lines}
+    assert wanted <= found
+    assert any('arm="APEL"' in line and 'learner="Q_red"' in line and "concentration" in line for line in lines)
+    assert all('experiment="small-maze"' in line for line in lines)
+
+
+def test_submit_follow_fetch(head: Head, small: Path, tmp_path: Path, undisturbed: Path) -> None:
+    """A submitted experiment gives the rows of a local one; all that is asked of it comes through the dashboard."""
+    submitted = head.apel("submit", str(small), "--results", str(tmp_path / "there"), "--follow", cwd=tmp_path)
+    job, *log = submitted.stdout.splitlines()
+    assert any("18 runs in" in line for line in log)
+    found = status(head, job, tmp_path)
+    assert (found["state"], found["exit_code"]) == ("done", 0)
+    progress = found["progress"]
+    assert isinstance(progress, dict)
+    assert {name: arm["runs_done"] for name, arm in progress["arms"].items()} == {"Q_full": 6, "APEL": 6, "SSBAS": 6}
+    assert list(progress["phases"]) == ["joined", "planned", "first_episode", "ended"]
+    listed = head.apel("jobs", cwd=tmp_path).stdout
+    assert [line.split()[1:4] for line in listed.splitlines() if line.strip().startswith(job)] == [["done", "18", "18"]]
+    assert "18 runs in" in head.apel("logs", job, cwd=tmp_path).stdout
+    folder = head.apel("fetch", job, "got", cwd=tmp_path).stdout.strip()
+    assert_same(undisturbed, tmp_path / folder)
+    assert not (tmp_path / folder / "claims").exists()
+    assert "APEL" in head.apel("show", folder, cwd=tmp_path).stdout
+
+
+def test_own_modules_travel(head: Head, tmp_path: Path) -> None:
+    """The modules that a spec names are sent, with what they import from the same folder, and nothing else."""
+    (tmp_path / "mine").mkdir()
+    source = Path(__file__).parent.parent / "user_code.py"
+    (tmp_path / "mine" / "worlds.py").write_text(source.read_text())
+    (tmp_path / "walkers.py").write_text("from helpers import Walker\n")
+    (tmp_path / "helpers.py").write_text("from mine.worlds import Walker as Walker\n")
+    (tmp_path / "secrets.env").write_text("PASSWORD=1\n")
+    spec = tmp_path / "own.yaml"
+    spec.write_text(
+        "name: own\nruns: 2\nepisodes: 30\nenvironment: {id: 'mine.worlds:Corridor'}\n"
+        "learners: {W: {type: 'walkers:Walker'}, Q: {type: q_learning}}\n"
+        "arms: {both: {learners: [W, Q], selector: {type: apel}}}\n"
+    )
+    words = ("submit", "own.yaml", "--results", str(tmp_path / "there"), "--placement", "packed", "--follow")
+    job, *_ = head.apel(*words, cwd=tmp_path).stdout.splitlines()
+    assert status(head, job, tmp_path)["state"] == "done"
+    sent = Path(head.env["XDG_STATE_HOME"], "apel", "jobs", job, "package")
+    files = {str(path.relative_to(sent)) for path in sent.rglob("*") if path.is_file()}
+    assert files == {"experiment.yaml", "helpers.py", "mine/worlds.py", "walkers.py"}
+
+
+def test_stop_and_resume(head: Head, small: Path, tmp_path: Path) -> None:
+    """A job that is stopped has checkpoints of what was under way; resumed it completes, to the undisturbed rows."""
+    job, *_ = head.apel("submit", str(small), *LONG, "--results", str(tmp_path / "there"), cwd=tmp_path).stdout.split()
+    wait_until_running(head, job, tmp_path)
+    stopped = head.apel("stop", job, cwd=tmp_path).stdout
+    assert stopped.startswith(f"{job}: stopped, ")
+    found = status(head, job, tmp_path)
+    assert found["state"] == "stopped"
+    assert isinstance(found["progress"], dict)
+    assert found["progress"]["state"] == "stopped"
+    assert list((tmp_path / "there").rglob("checkpoints/*/*.npz"))
+    assert not list((tmp_path / "there").rglob("claims/*"))
+    resumed, *log = head.apel("resume", job, "--follow", cwd=tmp_path).stdout.splitlines()
+    assert resumed != job
+    assert status(head, resumed, tmp_path)["state"] == "done", log
+    settings = Settings(str(tmp_path / "here"), placement="local", arms=("APEL",))
+    whole = run_experiment(load_experiment(str(small), LONG_FIELDS), settings)
+    assert_same(folder_of(whole), next((tmp_path / "there").rglob("runs.parquet")).parent)
+
+
+def test_submitted_twice(head: Head, small: Path, tmp_path: Path) -> None:
+    """Of two submissions of the same at once one is the other; with other options it is refused; nothing is harmed."""
+    endless = ("--set", "episodes=600000", "--set", "record=none")
+    command = [str(BIN / "apel"), "submit", str(small), *LONG, *endless, "--results", str(tmp_path / "there")]
+    both = [
+        subprocess.Popen(command, cwd=tmp_path, env=dict(head.env), stdout=subprocess.PIPE, text=True) for _ in range(2)
+    ]
+    jobs = {process.communicate(timeout=60)[0].split()[0] for process in both}
+    assert len(jobs) == 1
+    (job,) = jobs
+    other = head.apel(*command[1:], "--shard-size", "7", cwd=tmp_path, check=False)
+    assert other.returncode == 2
+    assert f"found the job {job} at work on this experiment" in other.stderr
+    wait_until_running(head, job, tmp_path)
+    # Past the cluster's list of jobs, by another driver, the results themselves refuse.
+    here = subprocess.run(
+        [str(BIN / "apel"), "run", *command[2:]],
+        cwd=tmp_path, env=dict(head.env), capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert here.returncode == 2
+    assert f"found results that job {job}, process" in here.stderr
+    check_metrics(head, job)
+    assert head.apel("stop", job, cwd=tmp_path).stdout.startswith(f"{job}: stopped")
+
+
+def test_plain_ray_job_submit(head: Head, small: Path, tmp_path: Path) -> None:
+    """``ray job submit -- apel run …`` does the same, and its job can be watched and fetched like any."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "small.yaml").write_text(SMALL)
+    command = [str(BIN / "ray"), "job", "submit", "--address", head.url, "--submission-id", "by-hand", "--working-dir"]
+    command += [str(tmp_path / "folder"), "--", "apel", "run", "small.yaml", "--results", str(tmp_path / "there")]
+    command += ["--placement", "packed"]
+    subprocess.run(command, env=dict(head.env), check=True, capture_output=True, timeout=120)
+    assert status(head, "by-hand", tmp_path)["state"] == "done"
+    assert "by-hand" in head.apel("jobs", cwd=tmp_path).stdout
+    assert (tmp_path / head.apel("fetch", "by-hand", "got", cwd=tmp_path).stdout.strip() / "runs.parquet").exists()
+
+
+def test_failing_job(head: Head, small: Path, tmp_path: Path) -> None:
+    """A job whose runs fail ends as failed, with the exit code and the words of ``apel run``."""
+    spec = tmp_path / "broken.yaml"
+    (tmp_path / "user_code.py").write_text((Path(__file__).parent.parent / "user_code.py").read_text())
+    spec.write_text(
+        "name: broken\nruns: 2\nepisodes: 30\n"
+        "environment: {id: 'user_code:Corridor', options: {fault: raise, episode: 10}}\n"
+        "learners: {Q: {type: q_learning}}\narms: {One: {learners: [Q]}}\n"
+    )
+    words = ("submit", "broken.yaml", "--results", str(tmp_path / "there"), "--placement", "packed", "--follow")
+    submitted = head.apel(*words, cwd=tmp_path, check=False)
+    assert submitted.returncode == 1
+    job = submitted.stdout.splitlines()[0]
+    found = status(head, job, tmp_path)
+    assert (found["state"], found["exit_code"]) == ("failed", 1)
+    assert "the motor is stuck" in str(found["message"])
+    assert isinstance(found["progress"], dict)
+    assert found["progress"]["arms"]["One"]["runs_failed"] == 2
+
+
+def test_unknown_job(head: Head, tmp_path: Path) -> None:
+    """A job that the cluster does not know is said to be none, in one line."""
+    called = head.apel("status", "no-such-job", cwd=tmp_path, check=False)
+    assert called.returncode == 1
+    assert called.stderr.strip() == (
+        "error: found no job 'no-such-job' on this cluster, expected one that `apel jobs` shows"
+    )
+
+
+def test_without_the_token(head: Head, tmp_path: Path) -> None:
+    """Who has no token, or another one, can do nothing."""
+    for token in ("", "0" * 64):
+        env = {**head.env, "RAY_AUTH_TOKEN": token, "HOME": str(tmp_path)}
+        command = [str(BIN / "apel"), "jobs"]
+        called = subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
+        assert called.returncode == 1, called.stdout
+        assert "Traceback" not in called.stderr
+        assert "oken" in called.stderr
+
+
+def test_in_python(head: Head, small: Path, tmp_path: Path) -> None:
+    """``jobs.submit`` returns a handle with the same verbs."""
+    program = (
+        "import sys, jobs\n"
+        "experiment = jobs.load_experiment(sys.argv[1])\n"
+        "job = jobs.submit(experiment, address=sys.argv[2], results=sys.argv[3],\n"
+        "                  options=['--arms', 'APEL', '--placement', 'packed'])\n"
+        "status = job.wait()\n"
+        "print(job.id, status.state, status.progress['arms']['APEL']['runs_done'], len(job.logs()) > 0)\n"
+        "print(job.fetch('got') / 'runs.parquet')\n"
+    )
+    command = [sys.executable, "-c", program, str(small), head.url, str(tmp_path / "there")]
+    printed = subprocess.run(command, cwd=tmp_path, env=dict(head.env), check=True, capture_output=True, text=True)
+    first, path = printed.stdout.splitlines()
+    assert first.split()[1:] == ["done", "6", "True"]
+    assert (tmp_path / path).exists()
