@@ -1,9 +1,9 @@
 # The image of every node: Ray of the pinned version (constraints.txt), with this project on top.
 FROM rayproject/ray:2.60.0-py311-cpu
 
-# A new volume at /results takes its owner from this folder; Ray runs as user `ray`, who could not write to root's.
+# A new volume takes its owner from the folder that it covers; Ray runs as user `ray`, who could not write to root's.
 USER root
-RUN install -d -o ray -g users /results
+RUN install -d -o ray -g users /results /dashboards
 USER ray
 
 COPY --chown=ray:users pyproject.toml constraints.txt README.md /tmp/apel/
