@@ -19,8 +19,6 @@ from cluster.shard import Execution
 from cluster.storage import Folder, joined
 from jobs import job_commands, reproduction
 from jobs.analysis.report import write_report
-from jobs.design import Request, advice
-from jobs.design import design as design_decay
 from jobs.event_files import EventFiles
 from jobs.lease import BusyError
 from jobs.metrics import MetricsObserver
@@ -32,7 +30,7 @@ from jobs.spec_files import load_experiment, shipped_experiments, shipped_galler
 from jobs.status_file import StatusFile
 from jobs.stopping import stop_on_signals
 from jobs.store import ResultStore, StoreError
-from jobs.terminal import TerminalObserver, design_table, summary_table
+from jobs.terminal import TerminalObserver, summary_table
 from jobs.validation import check
 from jobs.yaml_source import SpecError
 
@@ -248,6 +246,10 @@ def design(
     learners: Annotated[int, typer.Option(min=2, help="Number of learners.")] = 2,
 ) -> None:
     """Find APEL's decay ν for one of four criteria, and what to expect of it."""
+    from jobs.design import Request, advice
+    from jobs.design import design as design_decay
+    from jobs.design_table import design_table
+
     others = tuple(other_return or ())
     rows = design_decay(Request(adapt_within, rise_within, explore, performance, best_return, others, learners))
     _out.print(design_table(rows))

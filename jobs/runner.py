@@ -15,7 +15,6 @@ from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardEvent
 from cluster.local import compile_for, not_compiled, run_shards
 from cluster.shard import Execution, Shard
-from jobs.analysis.statistics import summarise
 from jobs.lease import BusyError, Lease, lease, this_owner
 from jobs.manifest import add_session, new_manifest
 from jobs.observers import NO_OBSERVER, Ending, Observer
@@ -154,6 +153,9 @@ def _work(
 
 def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
     if store.finished():
+        # With scipy's statistics, which take half a second to import: longer than most commands.
+        from jobs.analysis.statistics import summarise
+
         outcome.summary = summarise(store.consolidate(experiment))
         store.write_table("summary.parquet", outcome.summary)
 

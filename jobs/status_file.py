@@ -40,7 +40,7 @@ class StatusFile(Observer):
         self._job, self._about = job, about
         self._path: Path | None = None
         self._progress: JobProgress | None = None
-        self._began, self._since = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
+        self._began, self._since = time.monotonic(), datetime.now(UTC).isoformat(timespec="milliseconds")
         self._last = 0.0
         self._phases: dict[str, float] = {}
         self._message = ""

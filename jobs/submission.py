@@ -241,6 +241,7 @@ def _submitted(record: Record, package: Callable[[Record], Path]) -> Job:
 def _metadata(record: Record) -> dict[str, str]:
     return {
         _MARK: versions()["apel"],
+        "job_name": record.experiment,  # what the dashboard calls it
         "experiment": record.experiment,
         "identity": record.identity,
         "options": shlex.join(record.options),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from rich.table import Table
 from cluster.events import ShardEvent, ShardRestarted, ShardWaiting
 from cluster.shard import Shard
 from jobs.analysis.results_table import results_table
-from jobs.design import SELECTION_AWARE, Prediction
 from jobs.manifest import arm_timings
 from jobs.observers import Ending, Observer
 from jobs.progress import ArmProgress, JobProgress
@@ -152,20 +151,4 @@ def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:
         table.add_column(heading, justify="left" if column < shown.num_names else "right", no_wrap=True)
     for row in shown.rows:
         table.add_row(*row)
-    return table
-
-
-def design_table(predictions: Sequence[Prediction]) -> Table:
-    """The table of `apel design`: the rows to trust are bold where the terminal can."""
-    has_performance = any(row.performance is not None for row in predictions)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("ν", "ν by", "predicted by"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("adaptation", "rise", "exploration", *(["performance"] if has_performance else [])):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in predictions:
-        cells = [f"{row.decay:.4g}", row.decay_by, row.predicted_by, f"{row.adaptation_time:,.1f}"]
-        cells += [f"{row.rise_time:,.1f}", f"{row.exploration:.4g}"]
-        cells += [f"{row.performance:.4g}"] if row.performance is not None else []
-        table.add_row(*cells, style="bold" if row.predicted_by == SELECTION_AWARE else None)
     return table

@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 BIN = Path(sys.executable).parent
 
 
@@ -36,6 +38,22 @@ class Head:
         return subprocess.run(
             command, cwd=cwd, env=dict(self.env), check=check, timeout=timeout, capture_output=True, text=True
         )
+
+
+    def kill(self) -> None:
+        """Kill all its processes at once, as a machine that loses its power does."""
+        for process in self.processes():
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+
+    def processes(self) -> list[psutil.Process]:
+        """All that were started by it or for it, drivers included: those with its token in their environment."""
+        found = []
+        for process in psutil.process_iter():
+            with suppress(psutil.Error):
+                if process.environ().get("RAY_AUTH_TOKEN") == self.env["RAY_AUTH_TOKEN"]:
+                    found.append(process)
+        return found
 
 
 @contextmanager

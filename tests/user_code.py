@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
@@ -132,3 +134,21 @@ def no_number(trajectory: Trajectory) -> float:
 
 
 NOT_A_LEARNER = 3
+
+
+class Hungry(Walker):
+    """Takes all memory that it gets, once: in the first process that comes to its hundredth action."""
+
+    def __init__(self, *arguments: Any, marker: str, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._marker, self._num_actions = Path(marker), 0
+
+    def act(self, observation: Any) -> tuple[int, Any]:
+        self._num_actions += 1
+        if self._num_actions == 100 and not self._marker.exists():
+            self._marker.touch()
+            eaten = []
+            for _ in range(200):
+                eaten.append(np.ones(2**23))  # 64 MiB
+                time.sleep(0.03)
+        return super().act(observation)

@@ -19,6 +19,7 @@ import pytest
 from cluster.shard import Execution
 from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
+from tests.cluster.test_coordinator import with_user_code
 from tests.same_rows import assert_same, folder_of
 
 # Rounds of one episode make the job long enough to be hit, and its checkpoints many.
@@ -111,3 +112,29 @@ def test_killed_driver(small: Path, undisturbed: Path, tmp_path: Path) -> None:
     folder = next(results.rglob("runs.parquet")).parent
     assert not list(results.rglob("*.npz"))
     assert_same(undisturbed, folder)
+
+
+@pytest.mark.ray
+def test_out_of_memory(small: Path, tmp_path: Path) -> None:
+    """A worker that Ray ends since memory runs out costs time alone: its shard goes on to the same rows."""
+    overrides = (*with_user_code("", "tests.user_code:Walker"), "environment.options.fault=''", "episodes=60")
+    experiment = load_experiment(str(small), overrides)
+    undisturbed = folder_of(
+        run_experiment(experiment, Settings(results=str(tmp_path / "undisturbed"), placement="local"))
+    )
+    marker = tmp_path / "eaten"
+    hungry = f"learners.W={{type: 'tests.user_code:Hungry', marker: '{marker}'}}"
+    memory = psutil.virtual_memory()
+    env = {
+        **os.environ,
+        # Three gibibytes from here Ray ends whatever grows.
+        "RAY_memory_usage_threshold": f"{(memory.total - memory.available + 3 * 2**30) / memory.total:.4f}",
+        "RAY_memory_monitor_refresh_ms": "100",
+    }
+    command = [sys.executable, "-m", "jobs", "run", str(small), "--results", str(tmp_path / "disturbed"), "--cpus", "2"]
+    words = [word for override in (*overrides, hungry) for word in ("--set", override)]
+    job = subprocess.run([*command, *words], env=env, capture_output=True, text=True, check=True, timeout=150)
+    assert marker.exists()
+    assert "its processes died; again in" in job.stdout
+    disturbed = next((tmp_path / "disturbed").rglob("runs.parquet")).parent
+    assert_same(undisturbed, disturbed)

@@ -15,7 +15,7 @@ from cluster.monitoring import COUNTERS, GAUGES
 from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
 from tests.conftest import SMALL
-from tests.ray_head import BIN, Head
+from tests.ray_head import BIN, Head, ray_head
 from tests.same_rows import assert_same, folder_of
 
 LONG_FIELDS = ("episodes=60000", "stop_when_met=false", "record=log", "runs=40")
@@ -126,6 +126,23 @@ def test_stop_and_resume(head: Head, small: Path, tmp_path: Path) -> None:
     settings = Settings(str(tmp_path / "here"), placement="local", arms=("APEL",))
     whole = run_experiment(load_experiment(str(small), LONG_FIELDS), settings)
     assert_same(folder_of(whole), next((tmp_path / "there").rglob("runs.parquet")).parent)
+
+
+def test_head_is_lost(small: Path, tmp_path: Path, undisturbed: Path) -> None:
+    """After the head was lost, with all that Ray knew, the job goes on with another head, to the same rows."""
+    with ray_head(state=tmp_path / "state") as first:
+        words = ("--results", str(tmp_path / "there"), "--placement", "packed", "--set", "episodes=80")
+        job = first.apel("submit", str(small), *words, "--shard-size", "1", cwd=tmp_path).stdout.split()[0]
+        deadline = time.monotonic() + 60
+        while not list((tmp_path / "there").rglob("parts/*/*.parquet")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        first.kill()
+    parts = len(list((tmp_path / "there").rglob("parts/*/*.parquet")))
+    with ray_head(state=tmp_path / "state") as second:
+        resumed = second.apel("resume", job, "--follow", cwd=tmp_path).stdout.splitlines()
+    assert any("18 runs" in line for line in resumed) == (parts == 0)
+    assert_same(undisturbed, next((tmp_path / "there").rglob("runs.parquet")).parent)
+    assert 1 <= parts <= 18
 
 
 def test_submitted_twice(head: Head, small: Path, tmp_path: Path) -> None:

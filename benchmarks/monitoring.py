@@ -1,0 +1,84 @@
+"""What watching a job costs: the main job with and without observers, in turn. ``python -m benchmarks.monitoring [n]``.
+
+With: metrics for Prometheus, the status file, the lines of a log, TensorBoard's event files. Processor time of all
+processes of this Ray is compared beside the wall time, which other work on the machine disturbs less.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+from rich.console import Console
+
+from cluster.launch import ray_cluster
+from jobs.event_files import EventFiles
+from jobs.manifest import versions
+from jobs.metrics import MetricsObserver
+from jobs.observers import NO_OBSERVER, Observer, Observers
+from jobs.runner import Settings, run_experiment
+from jobs.spec_files import load_experiment
+from jobs.status_file import StatusFile
+from jobs.terminal import TerminalObserver
+
+
+def observers(folder: Path) -> Observer:
+    """All that a submitted job can have."""
+    about = {"experiment": "distractor-maze", "identity": "", "results": ""}
+    log = Console(file=io.StringIO(), width=120)
+    board = EventFiles(str(folder / "board"))
+    return Observers(
+        [MetricsObserver("distractor-maze", "job"), StatusFile("job", about), TerminalObserver(log), board]
+    )
+
+
+def processor_seconds() -> float:
+    """Of this process and all that it has started, Ray's own included."""
+    me = psutil.Process(os.getpid())
+    total = 0.0
+    for process in (me, *me.children(recursive=True)):
+        try:
+            times = process.cpu_times()
+        except psutil.NoSuchProcess:
+            continue
+        total += times.user + times.system + times.children_user + times.children_system
+    return total
+
+
+def measure(*, watched: bool) -> tuple[float, float]:
+    """Wall and processor seconds of one main job."""
+    with tempfile.TemporaryDirectory() as name:
+        observer = observers(Path(name)) if watched else NO_OBSERVER
+        began, before = time.monotonic(), processor_seconds()
+        run_experiment(load_experiment("distractor-maze"), Settings(results=f"{name}/results"), observer)
+        return time.monotonic() - began, processor_seconds() - before
+
+
+def main() -> None:
+    """Print and store the medians, and their ratios."""
+    repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    found: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
+    with ray_cluster(dashboard=False):
+        measure(watched=True)  # compiled code, and the pool of Ray's workers
+        for number in range(2 * repetitions):
+            watched = number % 2 == 0
+            found[watched].append(measure(watched=watched))
+    medians = {
+        watched: [statistics.median(column) for column in zip(*times, strict=True)] for watched, times in found.items()
+    }
+    for position, what in enumerate(("wall time", "processor time")):
+        without, with_ = medians[False][position], medians[True][position]
+        print(f"{what:15} without {without:6.2f} s, with {with_:6.2f} s: {100 * (with_ / without - 1):+.1f} %")
+    stored = {"versions": versions(), "without": found[False], "with": found[True]}
+    Path("benchmarks/results/monitoring.json").write_text(json.dumps(stored, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
