@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import ray
-from ray.util.placement_group import placement_group, remove_placement_group
+from ray.util.placement_group import placement_group, placement_group_table, remove_placement_group
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from apel.learners.base import Failure, Played, State
@@ -208,7 +208,8 @@ class Gang:
 
     def is_placed(self) -> bool:
         """Whether the cluster had room for it."""
-        return bool(self._group.wait(timeout_seconds=0))
+        # Not its `wait` without any time: on a busy machine that does not get as far as asking.
+        return bool(placement_group_table(self._group)["state"] == "CREATED")
 
     def stop(self) -> None:
         """Ask the shard under way to write a checkpoint and end."""

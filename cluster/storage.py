@@ -83,7 +83,9 @@ class Folder:
             self._filesystem, self._path = fs.LocalFileSystem(), os.path.abspath(self._root)  # noqa: PTH100 - no I/O
 
     def __reduce__(self) -> tuple[type[Folder], tuple[Any, ...]]:
-        return Folder, (self._root, self._retry, self._sleep)
+        # A relative path would be another place in a process that works in another folder.
+        root = self._root if "://" in self._root else self._path
+        return Folder, (root, self._retry, self._sleep)
 
     def __repr__(self) -> str:
         return f"Folder({self.location()!r})"

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import socket
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,11 +28,13 @@ from apel.book import EpisodeRows
 from cluster.protocols import RunRows
 from cluster.shard import Shard
 from cluster.storage import Folder, joined, redacted
+from cluster.storage_faults import StorageError
 from jobs.plan import RunKey, arm_points
 from jobs.spec import Experiment, validate
 from jobs.tables import concatenated, episode_table, run_table
 from jobs.yaml_source import parse
 
+SPEC_FILE = "spec.yaml"
 _FOLDERS = ("parts", "episodes", "checkpoints", "spilled", "figures")
 
 
@@ -90,7 +93,7 @@ class ResultStore:
                     self.folder.delete_folder(name)
                 for name in ("runs.parquet", "summary.parquet", "manifest.json", "report.html"):
                     self.folder.delete(name)
-            self.folder.write("spec.yaml", experiment.to_yaml().encode())
+            self.folder.write(SPEC_FILE, experiment.to_yaml().encode())
             self._delete_temporary()
             self._delete_orphans()
         except OSError as error:
@@ -140,7 +143,7 @@ class ResultStore:
     def experiment(self) -> Experiment:
         """The experiment whose results these are."""
         self.runs()
-        return validate(parse(self.folder.read("spec.yaml").decode(), self.folder.location("spec.yaml")))
+        return validate(parse(self.folder.read(SPEC_FILE).decode(), self.folder.location(SPEC_FILE)))
 
     def manifest(self) -> dict[str, Any]:
         """The manifest; empty before the first session of work."""
@@ -226,7 +229,20 @@ class CheckpointFiles:
         self._folder = folder
 
     def read(self, shard: Shard) -> bytes | None:
-        """The last checkpoint, or None."""
+        """The last checkpoint, or None.
+
+        Raises
+        ------
+        StorageError
+            If this is not the place that the job's driver has opened: a node that does not share its disk.
+        """
+        if not self._folder.exists(SPEC_FILE):
+            message = (
+                f"{self._folder.location()}: found on the node {socket.gethostname()} nothing of what the job's driver "
+                "has written there, expected a place that all nodes share: give --results a path on a shared disk, or "
+                "a URI such as s3://bucket/results"
+            )
+            raise StorageError(message)
         name = self._name(shard)
         return self._folder.read(name) if self._folder.exists(name) else None
 

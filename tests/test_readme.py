@@ -55,7 +55,8 @@ def test_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
         for word in words[1:]:
             if word.startswith("--"):
                 assert word in help_texts[name], line
-    assert set(help_texts) == {"list", "validate", "run", "show", "figures", "design", "reproduce", "claims"}
+    local = {"list", "validate", "run", "show", "figures", "design", "reproduce", "claims"}
+    assert set(help_texts) == local | {"submit", "jobs", "status", "logs", "stop", "resume", "fetch"}
 
 
 def _help(command: str, capsys: pytest.CaptureFixture[str]) -> str:

@@ -320,3 +320,13 @@ def test_unwritable_place(place: str) -> None:
     """A place that takes no file is an error that names it."""
     with pytest.raises(StorageError, match=f"^{place}/x: found '.*' while writing: see that the place can be used"):
         Folder(place).write("x", b"y")
+
+
+def test_relative_paths_travel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A relative path is the same place in a process that works in another folder."""
+    monkeypatch.chdir(tmp_path)
+    sent = pickle.dumps(Folder("results"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    pickle.loads(sent).write("x", b"y")
+    assert (tmp_path / "results" / "x").read_bytes() == b"y"

@@ -19,12 +19,17 @@ import pytest
 import jobs.lease
 import jobs.runner
 import jobs.status_file
+from cluster.coordinator import Coordinator
+from cluster.local import LocalHosts
 from cluster.retry import RetryPolicy
+from cluster.shard import Execution
 from cluster.storage import Folder
+from cluster.storage_faults import StorageError
 from jobs.cli import main
+from jobs.plan import plan_shards
 from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
-from jobs.store import ResultStore
+from jobs.store import CheckpointFiles, ParquetSink, ResultStore
 from tests.conftest import SMALL
 from tests.same_rows import assert_same
 
@@ -245,3 +250,12 @@ def test_clock_that_jumps(small: Path, tmp_path: Path, undisturbed: Path, monkey
     assert session["began"].startswith("2030-01-")
     assert 0 < session["seconds"] <= elapsed
     assert all(0 < arm["seconds"] <= elapsed for arm in session["arms"].values())
+
+
+def test_node_that_shares_no_disk(small: Path, tmp_path: Path) -> None:
+    """A node that does not see the driver's results says so when it begins a shard, not when all was computed."""
+    shard = plan_shards(load_experiment(str(small)), 100, ["APEL"], set(), 1)[0]
+    checkpoints = CheckpointFiles(Folder(str(tmp_path / "of this node")))
+    coordinator = Coordinator(LocalHosts(), ParquetSink(Folder(str(tmp_path))), checkpoints, Execution())
+    with pytest.raises(StorageError, match="expected a place that all nodes share"):
+        list(coordinator.run(shard))
