@@ -48,6 +48,24 @@ def unpack(content: bytes) -> Any:
         raise CheckpointError(message) from error
 
 
+def writable(tree: Any) -> Any:
+    """The same tree with arrays of its own: those that came through Ray's object store may only be read.
+
+    >>> frozen = np.zeros(1)
+    >>> frozen.flags.writeable = False
+    >>> writable({"a": [frozen]})["a"][0].flags.writeable
+    True
+    """
+    match tree:
+        case np.ndarray():
+            return tree.copy()
+        case dict():
+            return {key: writable(child) for key, child in tree.items()}
+        case list() | tuple():
+            return [writable(child) for child in tree]
+    return tree
+
+
 def _flatten(node: Any, arrays: dict[str, Any], place: str) -> Any:
     match node:
         case None | bool() | int() | float() | str():

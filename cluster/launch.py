@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -30,13 +29,13 @@ from cluster.errors import ClusterError
 from cluster.learner_host import LearnerHost
 from cluster.local import LocalHosts
 from cluster.protocols import Hosts
+from cluster.reaching import check_reachable
 from cluster.shard import Execution, Shard
 
 ObjectRef = Any  # ray's own is generic in a type that nothing here can check
 # Batches below this size travel inside the messages; Ray's own limit of 100 kB sends most of them through the object
 # store, which costs several times as much.
 _INLINE_BYTES = 2_000_000
-_REACH_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def ray_cluster(
     ClusterError
         If there is none at that address, or if it has no CPU.
     """
-    _check_reachable(address)
+    check_reachable(address)
     if ray.is_initialized():
         yield _info("")
         return
@@ -89,24 +88,12 @@ def _connect(address: str | None, num_cpus: int | None, *, dashboard: bool) -> s
     try:
         context = ray.init(**options)
     except (ConnectionError, ValueError, RuntimeError) as error:
-        reach = f"reach a Ray cluster at {address!r} (if it is there, is its token the one in RAY_AUTH_TOKEN?)"
+        reach = f"reach a Ray cluster at {address!r} (is its token in RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH?)"
         message = f"could not {'start Ray on this machine' if address is None else reach}: {error}"
         raise ClusterError(message) from error
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, handler)  # Ray puts its own, which ends the process at once, in its place
     return context.dashboard_url or ""
-
-
-def _check_reachable(address: str | None) -> None:
-    """Ray itself goes on trying for a quarter of an hour where nothing listens."""
-    host, separator, port = (address or "").rpartition(":")
-    if not separator or not port.isdigit() or "://" in host:
-        return
-    try:
-        socket.create_connection((host, int(port)), timeout=_REACH_SECONDS).close()
-    except OSError as error:
-        message = f"could not reach a Ray cluster at {address!r}: {error}"
-        raise ClusterError(message) from error
 
 
 def _info(dashboard_url: str) -> ClusterInfo:

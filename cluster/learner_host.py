@@ -17,6 +17,7 @@ from apel.learners.base import Failure, LearnerBank, Played, State, StreakLimit
 from apel.registry import load
 from apel.selection import Selector, freezes_policies
 from apel.trajectory import Episodes, TrajectoryBatch
+from cluster.checkpoint import writable
 from cluster.shard import Execution, RunPlan, Shard
 
 _SOLO_STREAK_SCALE = 10
@@ -111,7 +112,7 @@ class LearnerHost:
         self._limit = StreakLimit(scale * execution.streak_episodes, min(_FIRST_ROUND_STEPS, self._most_steps))
         self._nothing = np.zeros(shard.arm.num_episodes, dtype=np.bool_)
         if state is not None:
-            self._bank.restore(state["bank"])
+            self._bank.restore(writable(state["bank"]))
             for column, stored in zip(self._book, state["book"], strict=True):
                 if isinstance(column, np.ndarray):
                     column[...] = stored

@@ -133,7 +133,7 @@ def run(
     """Run an experiment, or go on where it stopped."""
     job = job_commands.current_job()
     settings = Settings(
-        results=results or job_commands.default_results(job),
+        results=job_commands.results_root(results, job),
         arms=tuple(arms.split(",")) if arms else None,
         placement=_placement(placement),
         shard_size=shard_size,
@@ -169,7 +169,7 @@ def reproduce(
         message = f"--scale: found {scale!r}, expected smoke, tenth or full"
         raise SpecError(message)
     job = job_commands.current_job()
-    results = results or job_commands.default_results(job)
+    results = job_commands.results_root(results, job)
     address = address or ("auto" if job else None)
     settings = Settings(results=results, placement=_placement(placement), address=address, num_cpus=cpus, job=job)
 

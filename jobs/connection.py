@@ -33,7 +33,13 @@ def connected(address: str) -> Iterator[JobSubmissionClient]:
     except (ConnectionError, RequestException) as error:
         message = f"could not reach a dashboard at {address}: {error}"
         raise ClusterError(message) from error
-    except (RuntimeError, AuthenticationError) as error:
+    except AuthenticationError as error:
+        message = (
+            f"the cluster at {address} refuses the token, expected its own in RAY_AUTH_TOKEN, in the file that "
+            "RAY_AUTH_TOKEN_PATH names, or in ~/.ray/auth_token"
+        )
+        raise ClusterError(message) from error
+    except RuntimeError as error:
         message = f"the cluster at {address} refuses: {error}"
         raise ClusterError(message) from error
 

@@ -19,6 +19,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from jobs.package import refuse_credentials
 from jobs.spec_files import load_experiment
 from jobs.stopping import stop_on_signals
 from jobs.validation import check
@@ -174,9 +175,18 @@ def current_job() -> str:
     return ""
 
 
-def default_results(job: str) -> str:
-    """Where results go if nobody says: beside the user's files, but not into a job's folder, which Ray deletes."""
-    return str(Path.home() / "apel-results") if job else "results"
+def results_root(given: str | None, job: str) -> str:
+    """Where results go; if nobody says, beside the user's files, but not into a job's folder, which Ray deletes.
+
+    Raises
+    ------
+    SpecError
+        If it holds a secret.
+    """
+    if given is None:
+        return str(Path.home() / "apel-results") if job else "results"
+    refuse_credentials(given)
+    return given
 
 
 def _follow(job: Job) -> None:

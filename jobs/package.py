@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from cluster.storage import has_credentials, redacted
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 
@@ -15,6 +16,22 @@ EXPERIMENT_FILE = "experiment.yaml"
 _IMPORT_PATH = re.compile(r"^([A-Za-z_]\w*)(\.\w+)*:[A-Za-z]")
 _MAX_BYTES = 50 * 2**20
 _LEFT_OUT = shutil.ignore_patterns("__pycache__", ".*", "*.pyc")
+
+
+def refuse_credentials(results: str) -> None:
+    """Ray keeps the command line of every driver and job, and shows it to all who may list jobs.
+
+    Raises
+    ------
+    SpecError
+        If a place for results holds a secret.
+    """
+    if has_credentials(results):
+        message = (
+            f"--results: found credentials in {redacted(results)}, expected none: the command can be read by everybody "
+            "who can see the dashboard; set AWS_ACCESS_KEY_ID and the like in the environment of the cluster's nodes"
+        )
+        raise SpecError(message)
 
 
 def named_modules(experiment: Experiment) -> list[str]:

@@ -123,7 +123,7 @@ def _held(store: ResultStore, job: str, observer: Observer) -> Iterator[Lease]:
         try:
             held = stack.enter_context(lease(store.folder, this_owner(job), observer.waiting))
         except OSError as error:
-            message = f"{store.folder.location()}: found a results folder that cannot be written to: {error}"
+            message = f"found a results folder that cannot be written to: {error}"
             raise StoreError(message) from error
         yield held
 

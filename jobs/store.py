@@ -97,7 +97,7 @@ class ResultStore:
             self._delete_temporary()
             self._delete_orphans()
         except OSError as error:
-            message = f"{self.folder.location()}: found a results folder that cannot be written to: {error}"
+            message = f"found a results folder that cannot be written to: {error}"
             raise StoreError(message) from error
 
     def finished(self) -> set[RunKey]:

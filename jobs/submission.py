@@ -19,11 +19,10 @@ from typing import Any
 from ray.job_submission import JobDetails, JobStatus, JobSubmissionClient
 
 from cluster.errors import ClusterError
-from cluster.storage import has_credentials, redacted
 from jobs.connection import DEFAULT_ADDRESS, connected, read_log_file
 from jobs.lease import BusyError
 from jobs.manifest import versions
-from jobs.package import EXPERIMENT_FILE, local_modules, named_modules
+from jobs.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials
 from jobs.records import Record, copied_record, new_record, read_record
 from jobs.spec import Experiment
 from jobs.status_file import status_file_name
@@ -199,12 +198,7 @@ def list_jobs(address: str = DEFAULT_ADDRESS) -> list[Status]:
 
 def _checked(results: str) -> str:
     """A place for results that every node understands."""
-    if has_credentials(results):
-        message = (
-            f"--results: found credentials in {redacted(results)}, expected none: a job's command can be read by "
-            "everybody who can see the dashboard; set AWS_ACCESS_KEY_ID and the like on the cluster's nodes"
-        )
-        raise SpecError(message)
+    refuse_credentials(results)
     if "://" not in results and not results.startswith("/"):
         message = f"--results: found {results!r}, expected an absolute path on the cluster's nodes, or a URI"
         raise SpecError(message)

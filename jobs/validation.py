@@ -9,6 +9,7 @@ from apel.building import make_bank, make_performance, make_selector
 from apel.environments import World
 from apel.seeding import run_seeds
 from apel.selection import Selector, freezes_policies
+from cluster.checkpoint import CheckpointError, pack, unpack
 from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
 from jobs.plan import SweepPoint, arm_plan, arm_points, draw_variables, run_plan
@@ -81,13 +82,13 @@ def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
         open_book(selector, len(run.learners), plan.num_episodes, plan.criterion, [seed], [world.info])
     except Exception as error:
         # Whatever a user's own class raises when it is made is bad input, and gets the same one line.
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        kind = "" if isinstance(error, ValueError | CheckpointError) else f"{type(error).__name__}: "
         message = f"{experiment.where(*place)}: {kind}{error}"
         raise SpecError(message) from error
 
 
 def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan, selector: Selector) -> None:
-    make_bank(
+    bank = make_bank(
         [run.learners[index]],
         [world],
         [run.seed],
@@ -97,3 +98,5 @@ def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan, select
         freezes=freezes_policies(selector),
         evaluates=plan.criterion is not None and plan.criterion.evaluation == "greedy",
     )
+    # As a checkpoint does, which otherwise would find out half a minute after everything had begun.
+    bank.restore(unpack(pack(bank.state())))

@@ -67,6 +67,24 @@ class Walker:
         self.num_seen = state["num_seen"]
 
 
+class Counting(Walker):
+    """Counts what it sees in an array, in place, and keeps the array that it is given to go on from."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.counts = np.zeros(5)
+
+    def learn(self, transition: Transition) -> None:
+        self.counts[transition.observation] += 1
+
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "counts": self.counts}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self.counts = state["counts"]
+
+
 class OnPolicy(Walker):
     """A learner that may not learn from others."""
 

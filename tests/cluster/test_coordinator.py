@@ -227,6 +227,36 @@ def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:
     assert memory.sorted_rows() == undisturbed.sorted_rows()
 
 
+class FrozenHosts(LocalHosts):
+    """Hosts whose states come with arrays that may only be read, as all do that travel through Ray's object store."""
+
+    def prepare(self, shard: Shard, execution: Execution, states: Sequence[State] | None) -> None:
+        super().prepare(shard, execution, [_frozen(state) for state in states] if states is not None else None)
+
+
+def _frozen(tree: Any) -> Any:
+    if isinstance(tree, np.ndarray):
+        tree = tree.copy()
+        tree.flags.writeable = False
+    if isinstance(tree, dict):
+        return {key: _frozen(child) for key, child in tree.items()}
+    return [_frozen(child) for child in tree] if isinstance(tree, list) else tree
+
+
+def test_state_that_has_travelled(small: Path) -> None:
+    """A learner may keep the arrays of the state that it goes on from, and write into them."""
+    execution = Execution(streak_episodes=2, checkpoint_seconds=0.0, checkpoint_share=1.0)
+    overrides = (*with_user_code("", "tests.user_code:Counting"), "environment.options.fault=''")
+    undisturbed, memory = Memory(), Memory()
+    play(shard_of(small, *overrides), undisturbed, execution)
+    with pytest.raises(ConnectionError):
+        play(shard_of(small, *overrides), memory, execution, FailingHosts(5))
+    memory.rows.clear()
+    done = play(shard_of(small, *overrides), memory, execution, FrozenHosts())
+    assert done.failures == ()
+    assert memory.sorted_rows() == undisturbed.sorted_rows()
+
+
 def test_state_that_cannot_be_stored(small: Path) -> None:
     """A learner whose state is not plain data is named at the first checkpoint."""
     execution = Execution(streak_episodes=1, checkpoint_seconds=0.0, checkpoint_share=1.0)
