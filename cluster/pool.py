@@ -137,7 +137,8 @@ class ShardPool:
         if now - self._counted_at >= _COUNT_CPUS_SECONDS:
             self._num_cpus, self._counted_at = num_cpus_of_cluster(), now
         self._balance()
-        while self._queue and self._idle:
+        # A shard that waits out its back-off keeps its place: the gang in place of its lost one is for it.
+        while self._queue and len(self._idle) > len(self._delayed):
             gang, shard = self._idle.pop(), self._queue.popleft()
             self._active[gang.start(shard)] = (gang, shard)
         starved = bool(self._queue) and self._num_cpus == 0
@@ -178,10 +179,12 @@ class ShardPool:
 
     def _recover(self, shard: Shard, error: ray.exceptions.RayError) -> ShardRestarted:
         """Let the shard begin again, from its checkpoint, if the infrastructure was at fault."""
+        # A coordinator that lost a learner passes the fault on, with an account of where, as its cause.
         cause = getattr(error, "cause", None)
-        if not isinstance(error, _INFRASTRUCTURE_FAULTS) and not isinstance(cause, _INFRASTRUCTURE_FAULTS):
-            raise cause if isinstance(cause, Exception) else error
-        line = str(error).splitlines()[0]
+        fault = cause if isinstance(cause, Exception) else error
+        if not isinstance(error, _INFRASTRUCTURE_FAULTS) and not isinstance(fault, _INFRASTRUCTURE_FAULTS):
+            raise fault
+        line = str(fault).splitlines()[0]
         delay = self._faults.failed(shard.key)
         if delay is None:
             message = f"{shard.label}: its processes died {self._faults.in_a_row(shard.key)} times; the last: {line}"

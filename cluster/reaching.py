@@ -28,17 +28,37 @@ def check_reachable(address: str | None) -> None:
     host, separator, port = (address or "").rpartition(":")
     if not separator or not port.isdigit() or "://" in host:
         return
-    try:
-        socket.create_connection((host, int(port)), timeout=_SECONDS).close()
-    except OSError as error:
-        message = f"could not reach a Ray cluster at {address!r}: {error}"
-        raise ClusterError(message) from error
+    _connect(host, int(port), f"could not reach a Ray cluster at {address!r}")
+    if socket.gethostbyname(host).startswith("127."):
+        # Ray puts this machine's address in the place of the loopback's, and tries that one until it is stopped.
+        mine = _own_address()
+        _connect(
+            mine, int(port), f"found a cluster at {address!r} that does not listen at {mine}, where Ray looks for it"
+        )
     if _refuses(str(address), _token()):
         message = (
             f"the Ray cluster at {address!r} refuses the token, expected its own in RAY_AUTH_TOKEN, in the file that "
             "RAY_AUTH_TOKEN_PATH names, or in ~/.ray/auth_token, and RAY_AUTH_MODE=token"
         )
         raise ClusterError(message)
+
+
+def _connect(host: str, port: int, otherwise: str) -> None:
+    try:
+        socket.create_connection((host, port), timeout=_SECONDS).close()
+    except OSError as error:
+        message = f"{otherwise}: {error}"
+        raise ClusterError(message) from error
+
+
+def _own_address() -> str:
+    """The address from which this machine would reach others; nothing is sent to find out."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:  # it reaches nobody
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
 
 
 def _refuses(address: str, token: str) -> bool:

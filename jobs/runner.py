@@ -15,6 +15,7 @@ from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardEvent
 from cluster.local import compile_for, not_compiled, run_shards
 from cluster.shard import Execution, Shard
+from cluster.storage_faults import StorageError
 from jobs.lease import BusyError, Lease, lease, this_owner
 from jobs.manifest import add_session, new_manifest
 from jobs.observers import NO_OBSERVER, Ending, Observer
@@ -144,11 +145,24 @@ def _work(
         observer.planned(progress)
         _summarise(experiment, store, outcome)
         return
-    try:
+    # What is finished can be read like any result.
+    with _afterwards(lambda: _summarise(experiment, store, outcome)):
         _compute(experiment, settings, store, finished, observer, outcome, stopping)
-    finally:
-        # Also of a job that was interrupted or broke off: what is finished can be read like any result.
-        _summarise(experiment, store, outcome)
+
+
+@contextmanager
+def _afterwards(act: Callable[[], None]) -> Iterator[None]:
+    """Act at the end, also of a body that was interrupted or broke off; but not where it is the storage that is away:
+    each vain attempt would take as long as a job is patient with it, and end in another message.
+    """
+    try:
+        yield
+    except StorageError:
+        raise
+    except BaseException:
+        act()
+        raise
+    act()
 
 
 def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
@@ -184,22 +198,25 @@ def _compute(
         progress.planned(shards, finished)
         observer.planned(progress)
         began, started = datetime.now(UTC), time.monotonic()
-        try:
-            for shard, event in play(shards):
-                progress.progressed(shard, event)
-                observer.progressed(shard, event, progress)
-                if isinstance(event, ShardDone):
-                    clock.add(shard, event)
-                    outcome.failures += event.failures
-                    outcome.num_computed += len(shard.runs) - len(event.failures)
-            outcome.was_stopped = clock.num_shards < len(shards)
-        finally:
-            outcome.seconds = time.monotonic() - started
-            outcome.num_restarts = progress.num_restarts
+
+        def keep_accounts() -> None:
             manifest = store.manifest() or new_manifest(experiment)
-            store.write_manifest(
-                add_session(manifest, experiment, began, outcome.seconds, settings.placement, num_cpus, clock.arms)
-            )
+            session = (began, outcome.seconds, settings.placement, num_cpus, clock.arms)
+            store.write_manifest(add_session(manifest, experiment, *session))
+
+        with _afterwards(keep_accounts):
+            try:
+                for shard, event in play(shards):
+                    progress.progressed(shard, event)
+                    observer.progressed(shard, event, progress)
+                    if isinstance(event, ShardDone):
+                        clock.add(shard, event)
+                        outcome.failures += event.failures
+                        outcome.num_computed += len(shard.runs) - len(event.failures)
+                outcome.was_stopped = clock.num_shards < len(shards)
+            finally:
+                outcome.seconds = time.monotonic() - started
+                outcome.num_restarts = progress.num_restarts
 
 
 @contextmanager

@@ -174,12 +174,19 @@ class ResultStore:
                 self.folder.delete(name)
 
     def _delete_orphans(self) -> None:
-        """Episode rows of shards that were never committed would be counted twice."""
+        """Episode rows of shards that were never committed would be counted twice; a shard that was committed when its
+        processes died has left its checkpoint.
+        """
         committed = set(self.folder.names("parts"))
         for name in self.folder.names("episodes"):
             if name not in committed:
                 self.folder.delete(f"episodes/{name}")
-        under_way = {name.removesuffix(".npz") for name in self.folder.names("checkpoints")}
+        under_way = set()
+        for name in self.folder.names("checkpoints"):
+            if f"{name.removesuffix('.npz')}.parquet" in committed:
+                self.folder.delete(f"checkpoints/{name}")
+            else:
+                under_way.add(name.removesuffix(".npz"))
         for name in self.folder.names("spilled"):
             if name.rpartition("-")[0] not in under_way:
                 self.folder.delete(f"spilled/{name}")

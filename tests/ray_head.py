@@ -39,7 +39,6 @@ class Head:
             command, cwd=cwd, env=dict(self.env), check=check, timeout=timeout, capture_output=True, text=True
         )
 
-
     def kill(self) -> None:
         """Kill all its processes at once, as a machine that loses its power does."""
         for process in self.processes():

@@ -32,6 +32,18 @@ def test_unreachable_address() -> None:
     assert time.monotonic() - began < 10
 
 
+def test_loopback_alone() -> None:
+    """A head that listens at the loopback alone is told at once: Ray would look for it at the machine's address."""
+    from cluster.launch import ray_cluster
+
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        address = f"127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(ClusterError, match="to be no cluster that listens at"), ray_cluster(address):
+            pass
+
+
 class Doomed(Memory):
     """A checkpoint store on which every coordinator dies."""
 

@@ -259,3 +259,12 @@ def test_node_that_shares_no_disk(small: Path, tmp_path: Path) -> None:
     coordinator = Coordinator(LocalHosts(), ParquetSink(Folder(str(tmp_path))), checkpoints, Execution())
     with pytest.raises(StorageError, match="expected a place that all nodes share"):
         list(coordinator.run(shard))
+
+
+def test_checkpoint_of_a_shard_that_is_done(small: Path, tmp_path: Path) -> None:
+    """What a process left that died between storing a shard and forgetting its checkpoint is forgotten later."""
+    experiment, settings = load_experiment(str(small)), Settings(results=str(tmp_path), placement="local")
+    folder = run_experiment(experiment, settings).store.folder
+    folder.write(f"checkpoints/{folder.names('parts')[0].removesuffix('.parquet')}.npz", b"left")
+    run_experiment(experiment, settings)
+    assert folder.names("checkpoints") == []
