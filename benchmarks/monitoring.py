@@ -1,21 +1,19 @@
 """What watching a job costs: the main job with and without observers, in turn. ``python -m benchmarks.monitoring [n]``.
 
-With: metrics for Prometheus, the status file, the lines of a log, TensorBoard's event files. Processor time of all
-processes of this Ray is compared beside the wall time, which other work on the machine disturbs less.
+With: metrics for Prometheus, the status file, the lines of a log, TensorBoard's event files. All of it is done by the
+driver, whose processor time is compared beside the wall time: other work on the machine disturbs it less.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import os
 import statistics
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-import psutil
 from rich.console import Console
 
 from cluster.launch import ray_cluster
@@ -39,26 +37,13 @@ def observers(folder: Path) -> Observer:
     )
 
 
-def processor_seconds() -> float:
-    """Of this process and all that it has started, Ray's own included."""
-    me = psutil.Process(os.getpid())
-    total = 0.0
-    for process in (me, *me.children(recursive=True)):
-        try:
-            times = process.cpu_times()
-        except psutil.NoSuchProcess:
-            continue
-        total += times.user + times.system + times.children_user + times.children_system
-    return total
-
-
 def measure(*, watched: bool) -> tuple[float, float]:
     """Wall and processor seconds of one main job."""
     with tempfile.TemporaryDirectory() as name:
         observer = observers(Path(name)) if watched else NO_OBSERVER
-        began, before = time.monotonic(), processor_seconds()
+        began, before = time.monotonic(), time.process_time()
         run_experiment(load_experiment("distractor-maze"), Settings(results=f"{name}/results"), observer)
-        return time.monotonic() - began, processor_seconds() - before
+        return time.monotonic() - began, time.process_time() - before
 
 
 def main() -> None:
@@ -73,9 +58,9 @@ def main() -> None:
     medians = {
         watched: [statistics.median(column) for column in zip(*times, strict=True)] for watched, times in found.items()
     }
-    for position, what in enumerate(("wall time", "processor time")):
+    for position, what in enumerate(("wall time", "driver's processor time")):
         without, with_ = medians[False][position], medians[True][position]
-        print(f"{what:15} without {without:6.2f} s, with {with_:6.2f} s: {100 * (with_ / without - 1):+.1f} %")
+        print(f"{what:24} without {without:6.2f} s, with {with_:6.2f} s: {100 * (with_ / without - 1):+.1f} %")
     stored = {"versions": versions(), "without": found[False], "with": found[True]}
     Path("benchmarks/results/monitoring.json").write_text(json.dumps(stored, indent=2) + "\n")
 

@@ -63,7 +63,7 @@ def measure(head: Head, folder: Path, runs: int) -> dict[str, float]:
 def main() -> None:
     """Print and store both, and their ratios."""
     with tempfile.TemporaryDirectory() as name, ray_head() as head:
-        found = [measure(head, Path(name), runs) for runs in (100, 1000, 100)]
+        found = [measure(head, Path(name), runs) for runs in (100, 1000)]
     for one in found:
         print(f"{one['runs']:5.0f} runs: {one['seconds']:7.1f} s, at most {one['peak_bytes'] / 1e6:,.0f} MB")
     small, large = min(one["seconds"] for one in found if one["runs"] == 100), found[1]["seconds"]

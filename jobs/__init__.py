@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jobs.remote.submission import Job, Status, list_jobs, submit
     from jobs.runner import Settings, run_experiment
     from jobs.spec_files import load_experiment
-    from jobs.submission import Job, Status, list_jobs, submit
 
 __all__ = ["Job", "Settings", "Status", "list_jobs", "load_experiment", "run_experiment", "submit"]
 
@@ -27,4 +27,4 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         message = f"module 'jobs' has no attribute {name!r}"
         raise AttributeError(message)
-    return getattr(import_module(f"jobs.{_HOMES.get(name, 'submission')}"), name)
+    return getattr(import_module(f"jobs.{_HOMES.get(name, 'remote.submission')}"), name)

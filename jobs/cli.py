@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -16,14 +16,15 @@ from rich.table import Table
 from cluster.checkpoint import CheckpointError
 from cluster.errors import ClusterError, grouped
 from cluster.shard import Execution
-from cluster.storage import Folder, joined
-from jobs import job_commands, reproduction
+from jobs import reproduction, result_commands
 from jobs.analysis.report import write_report
 from jobs.event_files import EventFiles
 from jobs.lease import BusyError
 from jobs.metrics import MetricsObserver
 from jobs.observers import Observer, Observers
 from jobs.plan import arm_points
+from jobs.remote import commands as job_commands
+from jobs.result_commands import draw, write_and_show_reproduction
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment
 from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries
@@ -34,9 +35,6 @@ from jobs.terminal import TerminalObserver, summary_table
 from jobs.validation import check
 from jobs.yaml_source import SpecError
 
-if TYPE_CHECKING:
-    from jobs.analysis.claims import Verdict
-
 app = typer.Typer(
     help="Ensembles of different reinforcement learners, over a hundred seeds, on Ray.",
     no_args_is_help=True,
@@ -44,6 +42,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 job_commands.add_to(app)
+result_commands.add_to(app)
 # Wide enough for the table where the output goes to a file or to a job's log.
 _out = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 _err = Console(stderr=True, soft_wrap=True)
@@ -52,8 +51,6 @@ _Reference = Annotated[
     str, typer.Argument(metavar="SPEC|NAME", help="An experiment file, or the name of a shipped one.")
 ]
 _Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override any field of the spec.")]
-
-
 _Results = Annotated[
     str | None,
     typer.Option(envvar="APEL_RESULTS", help="Folder or URI for the results.", show_default="results"),
@@ -189,94 +186,14 @@ def reproduce(
                 _err.print(f"error: {line}", style="red", highlight=False, markup=False)
             if outcome.was_stopped:
                 raise InterruptedJobError
-    _write_reproduction(results, stores)
+    write_and_show_reproduction(results, stores)
     if failed:
         raise typer.Exit(1)
 
 
-@app.command()
-def show(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
-    """Show the table of results, from the files alone."""
-    store = ResultStore.at(results)
-    _out.print(summary_table(store.summary(), store.manifest()))
-
-
-@app.command()
-def figures(
-    results: Annotated[str, typer.Argument(help="The folder of an experiment's results, or a gallery: theory, …")],
-) -> None:
-    """Draw the figures and write the report, from the files alone; of a gallery, draw it below results/."""
-    from jobs.analysis.figures import draw_gallery
-
-    if gallery := shipped_galleries().get(results):
-        for path in draw_gallery(gallery, Folder(f"results/{gallery.name}")):
-            _out.print(path, highlight=False)
-        return
-    store = ResultStore.at(results)
-    for path in (*_draw(store, store.experiment()), write_report(store)):
-        _out.print(path, highlight=False)
-
-
-@app.command()
-def claims(
-    results: Annotated[
-        list[str] | None, typer.Argument(help="Folders of results, or of an experiment's. Default: results.")
-    ] = None,
-    output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
-) -> None:
-    """Hold what the dissertation claims against the results, from the files alone."""
-    from jobs.analysis.claims import evaluate, found_stores, shipped_claims
-    from jobs.ledger import write_ledger
-
-    verdicts = evaluate(shipped_claims(), found_stores(results or ["results"]))
-    _show_verdicts(verdicts)
-    if output is not None:
-        for path in write_ledger(ResultStore.at(output).folder, verdicts):
-            _out.print(path, highlight=False)
-
-
-@app.command()
-def design(
-    adapt_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted adaptation time.")] = None,
-    rise_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted rise time, to 90 %.")] = None,
-    explore: Annotated[float | None, typer.Option(metavar="P", help="Wanted share of any but the best.")] = None,
-    performance: Annotated[float | None, typer.Option(metavar="G", help="Wanted mean return; needs returns.")] = None,
-    best_return: Annotated[float | None, typer.Option(help="Return of the best learner.")] = None,
-    other_return: Annotated[list[float] | None, typer.Option(help="Of each other one, or one for all others.")] = None,
-    learners: Annotated[int, typer.Option(min=2, help="Number of learners.")] = 2,
-) -> None:
-    """Find APEL's decay ν for one of four criteria, and what to expect of it."""
-    from jobs.design import Request, advice
-    from jobs.design import design as design_decay
-    from jobs.design_table import design_table
-
-    others = tuple(other_return or ())
-    rows = design_decay(Request(adapt_within, rise_within, explore, performance, best_return, others, learners))
-    _out.print(design_table(rows))
-    for line in advice(rows, learners):
-        _out.print(line, highlight=False)
-
-
-def _write_reproduction(results: str, stores: list[ResultStore]) -> None:
-    from jobs.analysis.reproduction_folder import write_reproduction
-
-    folder = Folder(joined(results, "reproduction"))
-    _show_verdicts(write_reproduction(folder, stores))
-    for name in ("claims.parquet", "claims.md", "tables/", "figures/", "report.html"):
-        _out.print(folder.location(name), highlight=False)
-
-
-def _show_verdicts(verdicts: Sequence[Verdict]) -> None:
-    from jobs.analysis.claims import count_line
-    from jobs.ledger import verdict_table
-
-    _out.print(verdict_table(verdicts))
-    _out.print(count_line(verdicts), highlight=False)
-
-
 def _finish(experiment: Experiment, outcome: Outcome, *, quiet: bool) -> None:
     store = outcome.store
-    pages = [*_draw(store, experiment), write_report(store)] if len(outcome.summary) else []
+    pages = [*draw(store, experiment), write_report(store)] if len(outcome.summary) else []
     if not quiet and pages:
         if not outcome.num_computed and not outcome.failures:
             _out.print(
@@ -314,12 +231,6 @@ def _status_file(experiment: Experiment, settings: Settings) -> StatusFile:
     location = ResultStore.of(experiment, settings.results).folder.location()
     about = {"experiment": experiment.name, "identity": experiment.identity, "results": location}
     return StatusFile(settings.job, about)
-
-
-def _draw(store: ResultStore, experiment: Experiment) -> list[str]:
-    from jobs.analysis.figures import draw_figures
-
-    return draw_figures(store, experiment)
 
 
 def _placement(name: str) -> Placement:

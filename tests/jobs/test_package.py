@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from cluster.storage import Folder
-from jobs import package
-from jobs.package import local_modules, named_modules, write_package
-from jobs.packing import write_archive
+from jobs.remote import package
+from jobs.remote.package import local_modules, named_modules, write_package
+from jobs.remote.packing import write_archive
 from jobs.spec_files import load_experiment, shipped_experiments
 from jobs.yaml_source import SpecError
 

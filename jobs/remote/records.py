@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jobs.package import write_package
+from jobs.remote.package import write_package
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 

@@ -19,11 +19,11 @@ from typing import Any
 from ray.job_submission import JobDetails, JobStatus, JobSubmissionClient
 
 from cluster.errors import ClusterError
-from jobs.connection import DEFAULT_ADDRESS, connected, read_log_file
 from jobs.lease import BusyError
 from jobs.manifest import versions
-from jobs.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials
-from jobs.records import Record, copied_record, new_record, read_record
+from jobs.remote.connection import DEFAULT_ADDRESS, connected, read_log_file
+from jobs.remote.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials
+from jobs.remote.records import Record, copied_record, new_record, read_record
 from jobs.spec import Experiment
 from jobs.status_file import status_file_name
 from jobs.yaml_source import SpecError
@@ -32,6 +32,7 @@ _MARK = "apel"
 """Every job that is submitted here has metadata of this name."""
 _STOP_SECONDS = 120
 _POLL_SECONDS = 0.5
+_TRIES = 3
 _STATES = {
     JobStatus.PENDING: "pending",
     JobStatus.RUNNING: "running",
@@ -140,7 +141,7 @@ class Job:
         ClusterError
             If the job has not said yet where its results lie, or they cannot be read.
         """
-        from jobs.fetching import fetch
+        from jobs.remote.fetching import fetch
 
         return fetch(self, Path(destination))
 
@@ -301,12 +302,14 @@ def _status(client: JobSubmissionClient, details: JobDetails) -> Status:
 
 
 def _progress(client: JobSubmissionClient, details: JobDetails) -> dict[str, Any] | None:
-    if not details.driver_node_id:
-        return None
-    content = b"".join(read_log_file(client, details.driver_node_id, status_file_name(str(details.submission_id))))
-    with suppress(ValueError):
-        found: dict[str, Any] = json.loads(content)
-        return found
+    name = status_file_name(str(details.submission_id))
+    # A job that is over has its file; a busy node may fail to serve it in time.
+    for _ in range(_TRIES if details.status.is_terminal() else 1):
+        content = b"".join(read_log_file(client, details.driver_node_id, name)) if details.driver_node_id else b""
+        with suppress(ValueError):
+            found: dict[str, Any] = json.loads(content)
+            return found
+        time.sleep(_POLL_SECONDS)
     return None
 
 

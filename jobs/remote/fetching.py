@@ -22,18 +22,18 @@ from ray.job_submission import JobSubmissionClient
 
 from cluster.errors import ClusterError
 from cluster.storage import Folder
-from jobs.connection import connected, read_log_file
-from jobs.packing import NOT_FETCHED, archive_name
+from jobs.remote.connection import connected, read_log_file
+from jobs.remote.packing import NOT_FETCHED, archive_name
 from jobs.status_file import status_file_name
 
 if TYPE_CHECKING:
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
 _READY_SECONDS, _DOWNLOAD_SECONDS, _POLL_SECONDS = 300.0, 3600, 0.3
 
 
 def fetch(job: Job, destination: Path) -> Path:
-    """See `jobs.submission.Job.fetch`."""
+    """See `jobs.remote.submission.Job.fetch`."""
     status = job.status()
     if status.progress is None:
         message = f"{job.id}: found nothing to fetch yet: the job has not said where its results lie"

@@ -1,6 +1,6 @@
 """The commands that deal with jobs on a cluster: submit, jobs, status, logs, stop, resume, fetch.
 
-What they do is in `jobs.submission`, which is imported when one of them is called: it takes Ray.
+What they do is in `jobs.remote.submission`, which is imported when one of them is called: it takes Ray.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jobs.package import refuse_credentials
+from jobs.remote.package import refuse_credentials
 from jobs.spec_files import load_experiment
 from jobs.stopping import stop_on_signals
 from jobs.validation import check
 
 if TYPE_CHECKING:
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
 _out = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 
@@ -70,7 +70,7 @@ def submit(
     follow: _Follow = False,
 ) -> None:
     """Run an experiment as a job on a cluster; the spec, and the modules of yours that it names, are sent along."""
-    from jobs import submission
+    from jobs.remote import submission
 
     shortcuts = [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
     experiment = load_experiment(spec, [*shortcuts, *(overrides or [])])
@@ -88,7 +88,7 @@ def submit(
 
 def jobs(address: _Address = _DEFAULT_ADDRESS) -> None:
     """Show the jobs of this program on a cluster, the latest first."""
-    from jobs import submission
+    from jobs.remote import submission
 
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
     for heading in ("job", "state", "runs", "of", "steps/s", "time"):
@@ -104,7 +104,7 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
 ) -> None:
     """Show how far a job has come, arm by arm, as it says itself."""
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
     found = Job(job, address).status()
     if as_json:
@@ -120,7 +120,7 @@ def status(
 
 def logs(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = False) -> None:
     """Show what a job has printed."""
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
     if follow:
         _follow(Job(job, address))
@@ -130,7 +130,7 @@ def logs(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = Fals
 
 def stop(job: _Job, address: _Address = _DEFAULT_ADDRESS) -> None:
     """Let a job write checkpoints and end; `apel resume` lets it go on."""
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
     found = Job(job, address).stop()
     done, planned, *_ = _totals(found.progress)
@@ -139,7 +139,7 @@ def stop(job: _Job, address: _Address = _DEFAULT_ADDRESS) -> None:
 
 def resume(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = False) -> None:
     """Submit a job of this machine again: it goes on where it stopped, also on a cluster that has forgotten it."""
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
     resumed = Job(job, address).resume()
     _out.print(f"{resumed.id} is at work on this already" if resumed.was_running else resumed.id, highlight=False)
@@ -153,7 +153,7 @@ def fetch(
     address: _Address = _DEFAULT_ADDRESS,
 ) -> None:
     """Copy a job's results, as far as they are there, into a folder on this machine."""
-    from jobs.submission import Job
+    from jobs.remote.submission import Job
 
     _out.print(str(Job(job, address).fetch(destination)), highlight=False)
 
@@ -161,7 +161,7 @@ def fetch(
 def pack(results: str) -> None:
     """Pack results where the dashboard can serve them: the cluster's part of `apel fetch`."""
     from cluster.launch import ray_cluster
-    from jobs.packing import serve_archive
+    from jobs.remote.packing import serve_archive
 
     with ray_cluster("auto") as info, stop_on_signals(lambda: None) as stopping:
         serve_archive(results, current_job(), info.log_folder, stopping)
