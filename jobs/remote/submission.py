@@ -304,12 +304,12 @@ def _status(client: JobSubmissionClient, details: JobDetails) -> Status:
 def _progress(client: JobSubmissionClient, details: JobDetails) -> dict[str, Any] | None:
     name = status_file_name(str(details.submission_id))
     # A job that is over has its file; a busy node may fail to serve it in time.
-    for _ in range(_TRIES if details.status.is_terminal() else 1):
+    for attempt in range(_TRIES if details.status.is_terminal() else 1):
+        time.sleep(_POLL_SECONDS * attempt)
         content = b"".join(read_log_file(client, details.driver_node_id, name)) if details.driver_node_id else b""
         with suppress(ValueError):
             found: dict[str, Any] = json.loads(content)
             return found
-        time.sleep(_POLL_SECONDS)
     return None
 
 

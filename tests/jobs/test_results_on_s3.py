@@ -99,18 +99,19 @@ def test_resumes_from_a_checkpoint(small: Path, tmp_path: Path, s3: Bucket, monk
 
 
 def test_commands(small: Path, s3: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
-    """The commands that read results take a URI, print none of its secrets, and print what can be used again."""
+    """The commands that read results take a URI with keys, print none of them, and print what can be used again."""
     root = s3.fresh("AKIAEXAMPLE:abc%2FdefEXAMPLEKEY@")
-    assert call("run", str(small), "--placement", "local", "--results", root) == 0
-    printed = capsys.readouterr().out
+    printed = run(small, root).store.folder.location("runs.parquet")
     location = re.search(r"s3://\S*/small-maze/\w+", printed)
     assert location is not None
-    assert f"{location.group()}/runs.parquet?{s3.query}" in printed
+    assert printed == f"{location.group()}/runs.parquet?{s3.query}"
     place = location.group().replace("***@", "AKIAEXAMPLE:abc%2FdefEXAMPLEKEY@")
     assert call("show", f"{place}?{s3.query}") == 0
-    assert "APEL" in capsys.readouterr().out
+    printed += capsys.readouterr().out
+    assert "APEL" in printed
     assert call("figures", f"{place}?{s3.query}") == 0
-    assert f"/report.html?{s3.query}" in capsys.readouterr().out
+    printed += capsys.readouterr().out
+    assert f"/report.html?{s3.query}" in printed
     assert call("claims", root) == 0
     folder = Folder(root)
     assert {"runs.parquet", "report.html"} <= {name.rpartition("/")[2] for name in folder.names()}
