@@ -32,9 +32,7 @@ def check_reachable(address: str | None) -> None:
     if socket.gethostbyname(host).startswith("127."):
         # Ray puts this machine's address in the place of the loopback's, and tries that one until it is stopped.
         mine = _own_address()
-        _connect(
-            mine, int(port), f"found a cluster at {address!r} that does not listen at {mine}, where Ray looks for it"
-        )
+        _connect(mine, int(port), f"found no cluster of {address!r} at {mine}, where Ray looks for it")
     if _refuses(str(address), _token()):
         message = (
             f"the Ray cluster at {address!r} refuses the token, expected its own in RAY_AUTH_TOKEN, in the file that "

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 from pyarrow import fs
 
 from cluster.retry import RetryPolicy
-from cluster.storage_faults import StorageError, is_transient, storage_message
+from cluster.storage_faults import StorageAwayError, StorageError, is_transient, storage_message
 
 _RETRY = RetryPolicy(max_attempts=4)
 # pyarrow's own default is to try for over a minute and a half where an endpoint accepts connections and says nothing,
@@ -213,7 +213,8 @@ class Folder:
                 self._sleep(delay)
 
     def _error(self, name: str, doing: str, error: OSError) -> StorageError:
-        return StorageError(_without_secrets(storage_message(self.location(name), doing, error), self._root))
+        kind = StorageAwayError if is_transient(error) else StorageError
+        return kind(_without_secrets(storage_message(self.location(name), doing, error), self._root))
 
 
 def _from_uri(uri: str) -> tuple[Any, str]:

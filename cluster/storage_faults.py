@@ -40,6 +40,10 @@ class StorageError(OSError):
     """
 
 
+class StorageAwayError(StorageError):
+    """A storage that did not answer, however often it was asked: it may well do so later."""
+
+
 def is_transient(error: OSError) -> bool:
     """Whether the same call may well succeed a little later.
 

@@ -15,7 +15,7 @@ from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardEvent
 from cluster.local import compile_for, not_compiled, run_shards
 from cluster.shard import Execution, Shard
-from cluster.storage_faults import StorageError
+from cluster.storage_faults import StorageAwayError, StorageError
 from jobs.lease import BusyError, Lease, lease, this_owner
 from jobs.manifest import add_session, new_manifest
 from jobs.observers import NO_OBSERVER, Ending, Observer
@@ -123,6 +123,8 @@ def _held(store: ResultStore, job: str, observer: Observer) -> Iterator[Lease]:
     with ExitStack() as stack:
         try:
             held = stack.enter_context(lease(store.folder, this_owner(job), observer.waiting))
+        except StorageAwayError:
+            raise  # no fault of the place that was named
         except OSError as error:
             message = f"found a results folder that cannot be written to: {error}"
             raise StoreError(message) from error

@@ -28,7 +28,7 @@ from apel.book import EpisodeRows
 from cluster.protocols import RunRows
 from cluster.shard import Shard
 from cluster.storage import Folder, joined, redacted
-from cluster.storage_faults import StorageError
+from cluster.storage_faults import StorageAwayError, StorageError
 from jobs.plan import RunKey, arm_points
 from jobs.spec import Experiment, validate
 from jobs.tables import concatenated, episode_table, run_table
@@ -96,6 +96,8 @@ class ResultStore:
             self.folder.write(SPEC_FILE, experiment.to_yaml().encode())
             self._delete_temporary()
             self._delete_orphans()
+        except StorageAwayError:
+            raise  # no fault of the place that was named
         except OSError as error:
             message = f"found a results folder that cannot be written to: {error}"
             raise StoreError(message) from error

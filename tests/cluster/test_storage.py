@@ -12,7 +12,7 @@ import pytest
 
 from cluster.retry import RetryPolicy
 from cluster.storage import Folder, has_credentials, joined, redacted
-from cluster.storage_faults import StorageError, is_transient, storage_message
+from cluster.storage_faults import StorageAwayError, StorageError, is_transient, storage_message
 
 
 @pytest.fixture(params=["path", "file URI", "S3"])
@@ -298,7 +298,7 @@ def test_transient_faults_are_given_up(tmp_path: Path) -> None:
     """A fault that does not pass is an error after a bounded number of attempts."""
     waits: list[float] = []
     folder = Folder(str(tmp_path), RetryPolicy(3, 0.5), waits.append).sub("a")
-    with pytest.raises(StorageError, match="see that the storage can be reached"):
+    with pytest.raises(StorageAwayError, match="see that the storage can be reached"):
         folder.write_with("x", Faulty(folder, *[aws("SLOW_DOWN")] * 3).write)
     assert waits == [0.5, 1.0]
     assert folder.names() == folder.temporary_names() == []
