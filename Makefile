@@ -35,6 +35,11 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.selector_cost
 	$(BIN)/python -m benchmarks.linear_cost
 	$(BIN)/python -m benchmarks.statistics
+	$(BIN)/python -m benchmarks.startup
+	$(BIN)/python -m benchmarks.monitoring
+	$(BIN)/python -m benchmarks.checkpoint_cost
+	$(BIN)/python -m benchmarks.thousand_runs
+	$(BIN)/python -m benchmarks.soak --faults 100
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

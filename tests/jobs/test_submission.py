@@ -14,7 +14,6 @@ import pytest
 from cluster.monitoring import COUNTERS, GAUGES
 from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
-from tests.conftest import SMALL
 from tests.ray_head import BIN, Head, ray_head
 from tests.same_rows import assert_same, folder_of
 
@@ -168,19 +167,6 @@ def test_submitted_twice(head: Head, small: Path, tmp_path: Path) -> None:
     assert f"found results that job {job}, process" in here.stderr
     check_metrics(head, job)
     assert head.apel("stop", job, cwd=tmp_path).stdout.startswith(f"{job}: stopped")
-
-
-def test_plain_ray_job_submit(head: Head, small: Path, tmp_path: Path) -> None:
-    """``ray job submit -- apel run …`` does the same, and its job can be watched and fetched like any."""
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "small.yaml").write_text(SMALL)
-    command = [str(BIN / "ray"), "job", "submit", "--address", head.url, "--submission-id", "by-hand", "--working-dir"]
-    command += [str(tmp_path / "folder"), "--", "apel", "run", "small.yaml", "--results", str(tmp_path / "there")]
-    command += ["--placement", "packed"]
-    subprocess.run(command, env=dict(head.env), check=True, capture_output=True, timeout=120)
-    assert status(head, "by-hand", tmp_path)["state"] == "done"
-    assert "by-hand" in head.apel("jobs", cwd=tmp_path).stdout
-    assert (tmp_path / head.apel("fetch", "by-hand", "got", cwd=tmp_path).stdout.strip() / "runs.parquet").exists()
 
 
 def test_failing_job(head: Head, small: Path, tmp_path: Path) -> None:
