@@ -14,9 +14,13 @@ from apel import Trajectory, Transition
 
 
 class Corridor(gymnasium.Env[int, int]):
-    """Five cells in a row; the right end pays 1. Fails in the way it is told to, in the given episode."""
+    """Five cells in a row; the right end pays 1. Fails in the way it is told to, in the given episode.
 
-    def __init__(self, fault: str = "", episode: int = 40, length: int = 5) -> None:
+    While a file named ``slow_while`` is there every episode takes a twentieth of a second.
+    """
+
+    def __init__(self, fault: str = "", episode: int = 40, length: int = 5, slow_while: str = "") -> None:
+        self._slow_while = slow_while
         self.observation_space = spaces.Discrete(length)
         self.action_space = spaces.Discrete(2)
         self._fault, self._fault_episode, self._episode = fault, episode, -2
@@ -24,6 +28,8 @@ class Corridor(gymnasium.Env[int, int]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
         super().reset(seed=seed)
+        if self._slow_while and Path(self._slow_while).exists():
+            time.sleep(0.05)
         self._episode += 1
         self._cell = self._steps = 0
         return 0, {"optimal_length": 4}

@@ -107,9 +107,19 @@ def test_own_modules_travel(head: Head, tmp_path: Path) -> None:
     assert files == {"experiment.yaml", "helpers.py", "mine/worlds.py", "walkers.py"}
 
 
-def test_stop_and_resume(head: Head, small: Path, tmp_path: Path) -> None:
+def test_stop_and_resume(head: Head, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A job that is stopped has checkpoints of what was under way; resumed it completes, to the undisturbed rows."""
-    job, *_ = head.apel("submit", str(small), *LONG, "--results", str(tmp_path / "there"), cwd=tmp_path).stdout.split()
+    (tmp_path / "user_code.py").write_text((Path(__file__).parent.parent / "user_code.py").read_text())
+    slow, spec = tmp_path / "slow", tmp_path / "stopped.yaml"
+    slow.touch()
+    spec.write_text(
+        "name: stopped\nruns: 4\nepisodes: 1000\nrecord: all\n"
+        f"environment: {{id: 'user_code:Corridor', options: {{slow_while: '{slow}'}}}}\n"
+        "learners: {W: {type: 'user_code:Walker'}, Q: {type: q_learning}}\n"
+        "arms: {both: {learners: [W, Q], selector: {type: apel}}}\n"
+    )
+    words = ("--results", str(tmp_path / "there"), "--placement", "packed", "--shard-size", "2")
+    job, *_ = head.apel("submit", "stopped.yaml", *words, cwd=tmp_path).stdout.split()
     wait_until_running(head, job, tmp_path)
     stopped = head.apel("stop", job, cwd=tmp_path).stdout
     assert stopped.startswith(f"{job}: stopped, ")
@@ -117,13 +127,14 @@ def test_stop_and_resume(head: Head, small: Path, tmp_path: Path) -> None:
     assert found["state"] == "stopped"
     assert isinstance(found["progress"], dict)
     assert found["progress"]["state"] == "stopped"
-    assert list((tmp_path / "there").rglob("checkpoints/*/*.npz"))
+    assert len(list((tmp_path / "there").rglob("checkpoints/*/*.npz"))) == 2
     assert not list((tmp_path / "there").rglob("claims/*"))
+    slow.unlink()
     resumed, *log = head.apel("resume", job, "--follow", cwd=tmp_path).stdout.splitlines()
     assert resumed != job
     assert status(head, resumed, tmp_path)["state"] == "done", log
-    settings = Settings(str(tmp_path / "here"), placement="local", arms=("APEL",))
-    whole = run_experiment(load_experiment(str(small), LONG_FIELDS), settings)
+    monkeypatch.syspath_prepend(tmp_path)
+    whole = run_experiment(load_experiment(str(spec)), Settings(str(tmp_path / "here"), placement="local"))
     assert_same(folder_of(whole), next((tmp_path / "there").rglob("runs.parquet")).parent)
 
 
