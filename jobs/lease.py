@@ -105,7 +105,7 @@ class Lease:
         if self._thread.is_alive():
             self._thread.join()
         with suppress(OSError):
-            self._folder.delete(self.name)
+            _forget(self._folder, self.name)
 
     def _write(self, state: Literal["wanting", "holding"]) -> None:
         self._count += 1
@@ -158,7 +158,7 @@ def _outlast_others(folder: Folder, mine: Lease, me: Owner, timing: Timing, on_w
         states = {name: watch.look(name, claim, time.monotonic()) for name, claim in others.items()}
         for name, state in states.items():
             if state == "dead":
-                folder.delete(name)
+                _forget(folder, name)
             elif state == "alive" and (others[name]["state"] == "holding" or name < mine.name):
                 raise BusyError(_busy_message(folder, others[name]))
         unsure = [others[name] for name, state in states.items() if state == "unsure"]
@@ -195,6 +195,15 @@ def _busy_message(folder: Folder, claim: dict[str, Any]) -> str:
         f"{claim['since']}, expected none at work on them: wait for it, or stop it; two jobs at once would store runs "
         "twice"
     )
+
+
+def _forget(folder: Folder, name: str) -> None:
+    """Delete a claim, and what its job was writing of it when it was killed, or when the storage went away."""
+    claims, file = folder.sub(_FOLDER), name.rpartition("/")[2]
+    for temporary in claims.temporary_names():
+        if temporary.startswith(f".{file}."):
+            claims.delete(temporary)
+    folder.delete(name)
 
 
 def _others(folder: Folder, mine: str) -> dict[str, dict[str, Any]]:

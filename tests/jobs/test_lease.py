@@ -71,6 +71,16 @@ def test_process_numbers_that_come_again(tmp_path: Path) -> None:
     assert not is_gone(replace(me, started=""), me)
 
 
+def test_half_written_claims(tmp_path: Path) -> None:
+    """What a dead job was writing of its claim goes with the claim; what another one is writing now stays."""
+    folder = Folder(str(tmp_path))
+    claim(folder, "0", "holding", 5, replace(this_owner(), started="1"))
+    (tmp_path / "claims" / ".0.json.0123abcd.tmp").touch()
+    (tmp_path / "claims" / ".1.json.0123abcd.tmp").touch()
+    with lease(folder, this_owner(), no_wait, FAST):
+        assert folder.temporary_names() == ["claims/.1.json.0123abcd.tmp"]
+
+
 @pytest.mark.parametrize("state", ["holding", "wanting"])
 def test_silent_claim_of_another_machine(tmp_path: Path, state: str) -> None:
     """A claim that gives no sign of life is waited out by this process's own watch, said once, and taken away."""
