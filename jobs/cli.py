@@ -27,7 +27,7 @@ from jobs.remote import commands as job_commands
 from jobs.result_commands import draw, write_and_show_reproduction
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment
-from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries
+from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries, shortcuts
 from jobs.status_file import StatusFile
 from jobs.stopping import stop_on_signals
 from jobs.store import ResultStore, StoreError
@@ -140,8 +140,7 @@ def run(
         execution=Execution(checkpoint_seconds=checkpoint_seconds, checkpoint_episodes=checkpoint_episodes),
         job=job,
     )
-    shortcuts = [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
-    experiment = load_experiment(spec, [*shortcuts, *(overrides or [])])
+    experiment = load_experiment(spec, [*shortcuts(runs, seed), *(overrides or [])])
     observers: list[Observer] = [] if quiet else [TerminalObserver(_out)]
     observers += [MetricsObserver(experiment.name, job)]
     observers += [_status_file(experiment, settings)] if job else []

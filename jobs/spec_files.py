@@ -53,6 +53,15 @@ def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment
     return validate(source)
 
 
+def shortcuts(runs: int | None, seed: int | None) -> list[str]:
+    """The overrides that have options of their own.
+
+    >>> shortcuts(20, None)
+    ['runs=20']
+    """
+    return [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
+
+
 def _text_of(reference: str) -> tuple[str, str]:
     path = Path(reference)
     if path.suffix in {".yaml", ".yml"} or "/" in reference:

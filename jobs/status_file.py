@@ -27,6 +27,13 @@ def status_file_name(job: str) -> str:
     return f"apel-{job}.json"
 
 
+def replace_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a file that is seen whole or not at all."""
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(content))
+    os.replace(temporary, path)  # noqa: PTH105 - the one that says that it replaces
+
+
 class StatusFile(Observer):
     """Writes the file at most twice a second, and at the end.
 
@@ -89,6 +96,4 @@ class StatusFile(Observer):
             "phases": self._phases,
             **(self._progress.as_json() if self._progress else {"restarts": 0, "arms": {}}),
         }
-        temporary = self._path.with_suffix(".tmp")
-        temporary.write_text(json.dumps(status))
-        os.replace(temporary, self._path)  # noqa: PTH105 - the one that says that it replaces
+        replace_json(self._path, status)

@@ -19,8 +19,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from jobs.remote import DEFAULT_ADDRESS
 from jobs.remote.package import refuse_credentials
-from jobs.spec_files import load_experiment
+from jobs.spec_files import load_experiment, shortcuts
 from jobs.stopping import stop_on_signals
 from jobs.validation import check
 
@@ -34,7 +35,6 @@ _Address = Annotated[
     str,
     typer.Option(envvar="RAY_API_SERVER_ADDRESS", metavar="URL", help="Of the cluster's dashboard."),
 ]
-_DEFAULT_ADDRESS = "http://127.0.0.1:8265"
 _Follow = Annotated[bool, typer.Option("--follow", help="Go on until the job ends.")]
 
 
@@ -50,7 +50,7 @@ def add_to(app: typer.Typer) -> None:
 
 def submit(
     spec: Annotated[str, typer.Argument(metavar="SPEC|NAME", help="An experiment file, or the name of a shipped one.")],
-    address: _Address = _DEFAULT_ADDRESS,
+    address: _Address = DEFAULT_ADDRESS,
     runs: Annotated[int | None, typer.Option(help="Number of runs.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed from which all runs' seeds follow.")] = None,
     overrides: Annotated[
@@ -72,8 +72,7 @@ def submit(
     """Run an experiment as a job on a cluster; the spec, and the modules of yours that it names, are sent along."""
     from jobs.remote import submission
 
-    shortcuts = [f"{name}={value}" for name, value in (("runs", runs), ("seed", seed)) if value is not None]
-    experiment = load_experiment(spec, [*shortcuts, *(overrides or [])])
+    experiment = load_experiment(spec, [*shortcuts(runs, seed), *(overrides or [])])
     check(experiment, arms.split(",") if arms else None)
     given = {"arms": arms, "placement": placement, "shard-size": shard_size, "checkpoint-seconds": checkpoint_seconds}
     options = [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
@@ -86,7 +85,7 @@ def submit(
         _follow(job)
 
 
-def jobs(address: _Address = _DEFAULT_ADDRESS) -> None:
+def jobs(address: _Address = DEFAULT_ADDRESS) -> None:
     """Show the jobs of this program on a cluster, the latest first."""
     from jobs.remote import submission
 
@@ -100,7 +99,7 @@ def jobs(address: _Address = _DEFAULT_ADDRESS) -> None:
 
 def status(
     job: _Job,
-    address: _Address = _DEFAULT_ADDRESS,
+    address: _Address = DEFAULT_ADDRESS,
     as_json: Annotated[bool, typer.Option("--json", help="All of it, for programs.")] = False,
 ) -> None:
     """Show how far a job has come, arm by arm, as it says itself."""
@@ -118,7 +117,7 @@ def status(
         _out.print(f"results: {found.progress['results']}", highlight=False)
 
 
-def logs(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = False) -> None:
+def logs(job: _Job, address: _Address = DEFAULT_ADDRESS, follow: _Follow = False) -> None:
     """Show what a job has printed."""
     from jobs.remote.submission import Job
 
@@ -128,7 +127,7 @@ def logs(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = Fals
         sys.stdout.write(Job(job, address).logs())
 
 
-def stop(job: _Job, address: _Address = _DEFAULT_ADDRESS) -> None:
+def stop(job: _Job, address: _Address = DEFAULT_ADDRESS) -> None:
     """Let a job write checkpoints and end; `apel resume` lets it go on."""
     from jobs.remote.submission import Job
 
@@ -137,7 +136,7 @@ def stop(job: _Job, address: _Address = _DEFAULT_ADDRESS) -> None:
     _out.print(f"{job}: {found.state}, {done} of {planned} runs are finished", highlight=False)
 
 
-def resume(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = False) -> None:
+def resume(job: _Job, address: _Address = DEFAULT_ADDRESS, follow: _Follow = False) -> None:
     """Submit a job of this machine again: it goes on where it stopped, also on a cluster that has forgotten it."""
     from jobs.remote.submission import Job
 
@@ -150,7 +149,7 @@ def resume(job: _Job, address: _Address = _DEFAULT_ADDRESS, follow: _Follow = Fa
 def fetch(
     job: _Job,
     destination: Annotated[Path, typer.Argument(metavar="DEST", help="A folder on this machine.")],
-    address: _Address = _DEFAULT_ADDRESS,
+    address: _Address = DEFAULT_ADDRESS,
 ) -> None:
     """Copy a job's results, as far as they are there, into a folder on this machine."""
     from jobs.remote.submission import Job

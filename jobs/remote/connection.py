@@ -12,9 +12,8 @@ from ray.job_submission import JobSubmissionClient
 from requests.exceptions import RequestException
 
 from cluster.errors import ClusterError
+from jobs.remote import DEFAULT_ADDRESS
 from jobs.yaml_source import SpecError
-
-DEFAULT_ADDRESS = "http://127.0.0.1:8265"
 
 
 @contextmanager

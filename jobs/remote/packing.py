@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import io
-import json
-import os
 import tarfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from cluster.storage import Folder
-from jobs.status_file import status_file_name
+from jobs.status_file import replace_json, status_file_name
 
 NOT_FETCHED = ("checkpoints", "claims", "spilled")
 """What only the job itself needs."""
@@ -28,9 +26,7 @@ def serve_archive(results: str, job: str, log_folder: Path, stopping: Callable[[
     archive, status = log_folder / archive_name(job), log_folder / status_file_name(job)
     try:
         write_archive(Folder(results), archive)
-        temporary = status.with_suffix(".tmp")
-        temporary.write_text(json.dumps({"bytes": archive.stat().st_size}))
-        os.replace(temporary, status)  # noqa: PTH105 - the one that says that it replaces
+        replace_json(status, {"bytes": archive.stat().st_size})
         deadline = time.monotonic() + _MOST_SECONDS
         while not stopping() and time.monotonic() < deadline:
             time.sleep(0.1)

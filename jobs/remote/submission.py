@@ -21,7 +21,8 @@ from ray.job_submission import JobDetails, JobStatus, JobSubmissionClient
 from cluster.errors import ClusterError
 from jobs.lease import BusyError
 from jobs.manifest import versions
-from jobs.remote.connection import DEFAULT_ADDRESS, connected, read_log_file
+from jobs.remote import DEFAULT_ADDRESS
+from jobs.remote.connection import connected, read_log_file
 from jobs.remote.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials
 from jobs.remote.records import Record, copied_record, new_record, read_record
 from jobs.spec import Experiment

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from jobs.cli import main
+from tests.command_line import call
 from tests.conftest import SMALL
 
 
@@ -15,16 +16,6 @@ from tests.conftest import SMALL
 def _no_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is refused here is refused before Ray is so much as imported."""
     monkeypatch.setitem(sys.modules, "cluster.launch", None)
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    """Exit code and standard error of a command."""
-    capsys.readouterr()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["apel", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            main()
-    return int(caught.value.code or 0), capsys.readouterr().err
 
 
 BAD_FIELDS = {

@@ -25,11 +25,11 @@ from cluster.retry import RetryPolicy
 from cluster.shard import Execution
 from cluster.storage import Folder
 from cluster.storage_faults import StorageError
-from jobs.cli import main
 from jobs.plan import plan_shards
 from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
 from jobs.store import CheckpointFiles, ParquetSink, ResultStore
+from tests.command_line import call
 from tests.conftest import SMALL
 from tests.same_rows import assert_same
 
@@ -55,16 +55,6 @@ def run(small: Path, results: Path) -> Path:
 def command(small: Path, results: Path) -> list[str]:
     """The same as a command."""
     return ["run", str(small), "--placement", "local", "--shard-size", "2", "--results", str(results), "--quiet"]
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    """Exit code and standard error of a command."""
-    capsys.readouterr()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["apel", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            main()
-    return int(caught.value.code or 0), capsys.readouterr().err
 
 
 def temporary_files(folder: Path) -> list[Path]:
