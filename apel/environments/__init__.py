@@ -2,11 +2,21 @@
 
 import gymnasium
 
+from apel.environments.batched import batched_environment
+from apel.environments.cartpole import CartPole
 from apel.environments.factory import World, make_world
 from apel.environments.finite_environment import FiniteEnvironment
 from apel.environments.maze import Maze
 
-__all__ = ["FiniteEnvironment", "Maze", "World", "make_world"]
+__all__ = ["CartPole", "FiniteEnvironment", "Maze", "World", "batched_environment", "make_world"]
 
 # The maze truncates itself (its tables carry the limit), so that no TimeLimit wrapper is registered on top.
 gymnasium.register(id="apel/Maze-v0", entry_point="apel.environments.maze:Maze")
+
+# It ends its episodes and refuses steps outside of them itself: without any wrapper, `batched_environment` knows it.
+gymnasium.register(
+    id="apel/CartPole-v0",
+    entry_point="apel.environments.cartpole:CartPole",
+    reward_threshold=195.0,
+    order_enforce=False,
+)

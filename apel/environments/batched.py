@@ -1,0 +1,207 @@
+"""The environments of several runs in lockstep, each kind as fast as it can be (`apel.batched.BatchedEnvironment`).
+
+Whatever the kind, run r plays value for value what its own environment would play alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from apel.batched import BatchedEnvironment, Runs, Stepped
+from apel.compiled import njit
+from apel.environments.cartpole import batched_cart_pole
+from apel.environments.factory import World
+from apel.finite import FiniteModel, FiniteTables, draw_distractor, draw_outcome, draw_start, stack_models
+from apel.streams import Stream, start_stream
+
+_NO_EPISODE = -1
+
+_Outcome = tuple[NDArray[Any], float, bool, bool]
+"""Entry, reward, terminated, truncated of one environment."""
+
+
+def batched_environment(worlds: Sequence[World]) -> BatchedEnvironment:
+    """The environments of these runs, at least one, in the fastest form that fits all of them.
+
+    Raises
+    ------
+    ValueError
+        If they are finite, but differ in shape.
+    """
+    models = [world.model for world in worlds if world.model is not None]
+    if len(models) == len(worlds):
+        return BatchedFinite(models)
+    environments = [world.environment for world in worlds]
+    return batched_cart_pole(environments) or EnvironmentList(environments)
+
+
+class BatchedFinite:
+    """R finite environments in compiled code; draw for draw what `FiniteEnvironment` plays with the same seeds.
+
+    Entries are state numbers, ``uint16[A]`` where they fit, otherwise ``int32[A]``.
+
+    Parameters
+    ----------
+    models:
+        The tables of each run, of equal shapes.
+    """
+
+    def __init__(self, models: Sequence[FiniteModel]) -> None:
+        self._world = stack_models(models)
+        self._num_actions = models[0].num_actions
+        values = models[0].feature_values()
+        # A single feature is a plain number of a Discrete space.
+        self._values = values if values.shape[1] > 1 else values[:, 0]
+        # As in the trajectories of compiled learners.
+        self._entry_type = np.uint16 if models[0].num_states <= np.iinfo(np.uint16).max else np.int32
+        self._streams = np.zeros((len(models), 2), dtype=np.uint64)
+        self._cells = np.zeros(len(models), dtype=np.int64)
+        self._steps = np.full(len(models), _NO_EPISODE, dtype=np.int64)
+
+    def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
+        """Start an episode of each run with its seed, 0 … 2⁶⁴ − 1."""
+        result = self._room(len(runs))
+        words = np.array(seeds, dtype=np.uint64)
+        _reset_runs(self._world, runs, words, self._streams, self._cells, self._steps, result.entry)
+        return result
+
+    def step(self, runs: Runs, actions: NDArray[np.int64]) -> Stepped:
+        """Play one action in each run.
+
+        Raises
+        ------
+        RuntimeError
+            If a run has no episode under way.
+        ValueError
+            If there is no such action.
+        """
+        if (self._steps[runs] == _NO_EPISODE).any():
+            message = "step() was called for a run without an episode under way: call reset() first"
+            raise RuntimeError(message)
+        if ((actions < 0) | (actions >= self._num_actions)).any():
+            message = f"found the actions {actions.tolist()}, expected numbers from 0 to {self._num_actions - 1}"
+            raise ValueError(message)
+        result = self._room(len(runs))
+        columns = (result.entry, result.reward, result.terminated, result.truncated)
+        _step_runs(self._world, runs, actions, self._streams, self._cells, self._steps, *columns)
+        return result
+
+    def decode(self, entries: NDArray[Any]) -> NDArray[np.int64]:
+        """``int64[…, features]``, or ``int64[…]`` where there is only one feature."""
+        return self._values[entries]
+
+    def _room(self, count: int) -> Stepped:
+        return Stepped(
+            entry=np.zeros(count, dtype=self._entry_type),
+            reward=np.zeros(count),
+            terminated=np.zeros(count, dtype=np.bool_),
+            truncated=np.zeros(count, dtype=np.bool_),
+        )
+
+
+@njit
+def _reset_runs(
+    world: FiniteTables,
+    runs: Runs,
+    seeds: NDArray[np.uint64],
+    streams: Stream,
+    cells: NDArray[np.int64],
+    steps: NDArray[np.int64],
+    entry: NDArray[Any],
+) -> None:
+    """Start an episode of each of A ``runs``; ``entry`` is written, ``[A]``; the other arrays are of all R runs."""
+    for i in range(runs.shape[0]):
+        run = runs[i]
+        start_stream(seeds[i], streams[run])
+        cell, distractor = draw_start(world, world.model[run], streams[run])
+        cells[run], steps[run] = cell, 0
+        entry[i] = cell * world.num_distractor_values + distractor
+
+
+@njit
+def _step_runs(
+    world: FiniteTables,
+    runs: Runs,
+    actions: NDArray[np.int64],
+    streams: Stream,
+    cells: NDArray[np.int64],
+    steps: NDArray[np.int64],
+    entry: NDArray[Any],
+    reward: NDArray[np.float64],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+) -> None:
+    """One step of each of A ``runs``; the last four arrays are written, ``[A]``; those before are of all R runs."""
+    for i in range(runs.shape[0]):
+        run, action = runs[i], actions[i]
+        model, cell, stream = world.model[run], cells[run], streams[run]
+        outcome = draw_outcome(world, model, cell, action, stream)
+        cells[run] = world.next_cell[model, cell, action, outcome]
+        steps[run] += 1
+        entry[i] = cells[run] * world.num_distractor_values + draw_distractor(world, stream)
+        reward[i] = world.reward_value[world.reward_code[model, cell, action, outcome]]
+        terminated[i] = world.terminal[model, cell, action, outcome]
+        truncated[i] = not terminated[i] and steps[run] >= world.max_steps
+        if terminated[i] or truncated[i]:
+            steps[run] = _NO_EPISODE
+
+
+class EnvironmentList:
+    """Any environments with Discrete actions, one after the other; entries are raw observations.
+
+    What an environment raises ends nothing but its own step: it is reported in `Stepped.errors`.
+    """
+
+    def __init__(self, environments: Sequence[gymnasium.Env[Any, Any]]) -> None:
+        self._environments = environments
+
+    def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
+        """Start an episode of each run with its seed."""
+        return self._call(_reset, runs, map(int, seeds))
+
+    def step(self, runs: Runs, actions: NDArray[np.int64]) -> Stepped:
+        """Play one action, counted from 0, in each run."""
+        return self._call(_step, runs, actions.tolist())
+
+    def decode(self, entries: NDArray[Any]) -> NDArray[Any]:
+        """Entries are raw observations."""
+        return entries
+
+    def _call(self, function: Callable[[Any, int], _Outcome], runs: Runs, arguments: Iterable[int]) -> Stepped:
+        outcomes: list[_Outcome] = []
+        errors: dict[int, str] = {}
+        for position, (run, argument) in enumerate(zip(runs.tolist(), arguments, strict=True)):
+            environment = self._environments[run]
+            try:
+                outcomes.append(function(environment, argument))
+            except Exception as error:  # noqa: BLE001 - whatever a user's code raises ends this run, and only this one
+                errors[position] = f"{type(error).__name__}: {error}"
+                space = environment.observation_space
+                outcomes.append((np.zeros(space.shape, dtype=space.dtype), 0.0, False, False))
+        entry, reward, terminated, truncated = zip(*outcomes, strict=True)
+        return Stepped(np.stack(entry), np.array(reward), np.array(terminated), np.array(truncated), errors)
+
+
+def _reset(environment: gymnasium.Env[Any, Any], seed: int) -> _Outcome:
+    observation, _ = environment.reset(seed=seed)
+    return _entry(environment, observation), 0.0, False, False
+
+
+def _step(environment: gymnasium.Env[Any, Any], action: int) -> _Outcome:
+    first = int(environment.action_space.start)  # type: ignore[attr-defined]
+    observation, reward, terminated, truncated, _ = environment.step(action + first)
+    return _entry(environment, observation), float(reward), bool(terminated), bool(truncated)
+
+
+def _entry(environment: gymnasium.Env[Any, Any], observation: Any) -> NDArray[Any]:
+    """A copy, since environments may reuse their arrays; of the promised shape, since it stands beside others'."""
+    entry = np.array(observation)
+    if entry.shape != environment.observation_space.shape:
+        message = f"found an observation of shape {entry.shape}, expected {environment.observation_space.shape}"
+        raise ValueError(message)
+    return entry

@@ -1,0 +1,256 @@
+"""The cart pole of the dissertation (§4.1.2): Gymnasium's, with its two ambiguities as options.
+
+A pole stands on a cart; pushing the cart to the left or to the right is to keep it upright. The dynamics are those of
+Barto, Sutton & Anderson 1983, as `gymnasium.envs.classic_control.cartpole` computes them, one run at a time
+(`CartPole`) or many at once (`BatchedCartPole`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.envs.classic_control.cartpole import CartPoleEnv
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+
+from apel.batched import Runs, Stepped
+
+TimeLimit = Literal["terminal", "truncation"]
+
+_NO_EPISODE = -1
+
+
+class CartPole(CartPoleEnv):
+    """Gymnasium's cart pole, which ends its episodes itself.
+
+    Observation: ``float32[4]``, the cart's position in m and velocity in m/s, the pole's angle in rad and angular
+    velocity in rad/s; drawn uniformly from ±0.05 at reset. Actions: 0 pushes left, 1 pushes right. Reward: +1 per
+    step, the last one included. Terminated where the pole leans by more than ``angle_limit`` or the cart is more than
+    2.4 m away. Solved: a mean return of at least 195 over 100 episodes of 200 steps.
+
+    The default limit is 12°, as in the article, in Gymnasium, and in the code of OpenAI Gym's CartPole-v0. The
+    dissertation's text says 15°, like the web page of that environment, which its code contradicted
+    (https://github.com/openai/gym/issues/702).
+
+    Parameters
+    ----------
+    angle_limit:
+        In degrees, above 0 and at most 90. The bounds of the observation space are twice as far, so that the
+        observation that ends an episode lies inside.
+    max_steps:
+        Steps after which an episode ends.
+    time_limit:
+        How an episode is reported whose step number ``max_steps`` did not fail: ``"terminal"``, like any other end,
+        as OpenAI Gym of that time did (whoever learns takes what follows to be worth nothing); or ``"truncation"``.
+    render_mode:
+        See Gymnasium.
+
+    Raises
+    ------
+    ValueError
+        If an argument makes no sense.
+
+    Source: Barto, Sutton & Anderson 1983, *Neuronlike adaptive elements that can solve difficult learning control
+    problems*, IEEE Transactions on Systems, Man, and Cybernetics 13(5).
+    """
+
+    def __init__(
+        self,
+        angle_limit: float = 12,
+        max_steps: int = 200,
+        time_limit: TimeLimit = "terminal",
+        render_mode: str | None = None,
+    ) -> None:
+        _check(angle_limit, max_steps, time_limit)
+        super().__init__(render_mode=render_mode)
+        self.max_steps = max_steps
+        self.time_limit = time_limit
+        # In this order, as there: another one moves the last bit.
+        self.theta_threshold_radians = angle_limit * 2 * math.pi / 360
+        high = np.array(
+            [self.x_threshold * 2, np.inf, self.theta_threshold_radians * 2, np.inf],
+            dtype=np.float32,
+        )
+        self.observation_space = spaces.Box(-high, high, dtype=np.float32)
+        self._steps: int | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode; ``options`` as in Gymnasium."""
+        observation, info = super().reset(seed=seed, options=options)
+        self._steps = 0
+        return observation, info
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Play one action.
+
+        Raises
+        ------
+        RuntimeError
+            If no episode is under way.
+        ValueError
+            If there is no such action.
+        """
+        if not self.action_space.contains(action):
+            message = f"found the action {action!r}, expected one of {self.action_space}"
+            raise ValueError(message)
+        if self._steps is None:
+            message = "step() was called without an episode under way: call reset() first"
+            raise RuntimeError(message)
+        observation, reward, failed, _, info = super().step(action)  # type: ignore[no-untyped-call]
+        self._steps += 1
+        at_limit = not failed and self._steps >= self.max_steps
+        if failed or at_limit:
+            self._steps = None
+        is_terminal = self.time_limit == "terminal"
+        return observation, reward, failed or (at_limit and is_terminal), at_limit and not is_terminal, info
+
+
+def _check(angle_limit: float, max_steps: int, time_limit: str) -> None:
+    if not isinstance(angle_limit, int | float) or not 0 < angle_limit <= 90:
+        message = f"angle_limit: found {angle_limit!r}, expected a number of degrees above 0 and at most 90"
+        raise ValueError(message)
+    if not isinstance(max_steps, int) or max_steps < 1:
+        message = f"max_steps: found {max_steps!r}, expected a whole number of at least 1"
+        raise ValueError(message)
+    if time_limit not in get_args(TimeLimit):
+        message = f"time_limit: found {time_limit!r}, expected one of {list(get_args(TimeLimit))}"
+        raise ValueError(message)
+
+
+class CartPoleParameters(NamedTuple):
+    """All that an episode depends on, besides its seed and its actions; names as in Gymnasium, SI units."""
+
+    gravity: float
+    masspole: float
+    total_mass: float
+    length: float
+    polemass_length: float
+    force_mag: float
+    tau: float
+    kinematics_integrator: str
+    x_threshold: float
+    theta_threshold_radians: float
+    max_steps: int
+    time_limit: TimeLimit
+
+    @classmethod
+    def of(cls, environment: CartPole) -> CartPoleParameters:
+        """Those of ``environment``."""
+        return cls._make(getattr(environment, name) for name in cls._fields)
+
+
+class BatchedCartPole:
+    """R runs of `CartPole` as arrays (see `apel.batched.BatchedEnvironment`), equal to it bit for bit.
+
+    Parameters
+    ----------
+    parameters:
+        Those of every run, with the integrator ``"euler"``.
+    num_runs:
+        R.
+    """
+
+    def __init__(self, parameters: CartPoleParameters, num_runs: int) -> None:
+        self._parameters = parameters
+        # One row per variable, so that each is contiguous.
+        self._state = np.zeros((4, num_runs))
+        self._steps = np.full(num_runs, _NO_EPISODE, dtype=np.int64)
+
+    def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
+        """Start an episode of each run with its seed; entries are observations, ``float32[A, 4]``."""
+        starts = [np_random(int(seed))[0].uniform(-0.05, 0.05, 4) for seed in seeds]
+        state = np.array(starts).T
+        self._state[:, runs] = state
+        self._steps[runs] = 0
+        terminated, truncated = np.zeros((2, len(runs)), dtype=np.bool_)
+        return Stepped(_observation(state), np.zeros(len(runs)), terminated, truncated)
+
+    def step(self, runs: Runs, actions: NDArray[np.int64]) -> Stepped:
+        """Push each cart.
+
+        Raises
+        ------
+        RuntimeError
+            If a run has no episode under way.
+        ValueError
+            If there is no such action.
+        """
+        steps = self._steps[runs]
+        _check_step(steps, actions)
+        state = _integrate(self._parameters, self._state.take(runs, axis=1), actions)
+        failed = _has_failed(self._parameters, state)
+        steps += 1
+        over = failed | (steps >= self._parameters.max_steps)
+        steps[over] = _NO_EPISODE
+        self._state[:, runs] = state
+        self._steps[runs] = steps
+        terminated = over if self._parameters.time_limit == "terminal" else failed
+        return Stepped(_observation(state), np.ones(len(runs)), terminated, over & ~terminated)
+
+    def decode(self, entries: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Entries are raw observations."""
+        return entries
+
+
+def _check_step(steps: NDArray[np.int64], actions: NDArray[np.int64]) -> None:
+    if (steps == _NO_EPISODE).any():
+        message = "step() was called for a run without an episode under way: call reset() first"
+        raise RuntimeError(message)
+    if ((actions != 0) & (actions != 1)).any():
+        message = f"found the actions {actions.tolist()}, expected 0 or 1 each"
+        raise ValueError(message)
+
+
+def _integrate(p: CartPoleParameters, state: NDArray[np.float64], actions: NDArray[np.int64]) -> NDArray[np.float64]:
+    """One Euler step of ``float64[4, A]``.
+
+    The same operations in the same order as in `CartPoleEnv.step`, for any other order rounds differently. A cosine
+    of an array has the bits of the cosines of its elements: NumPy sends scalars through the same loop.
+    """
+    x, x_dot, theta, theta_dot = state
+    force = np.where(actions == 1, p.force_mag, -p.force_mag)
+    cosine, sine = np.cos(theta), np.sin(theta)
+    temp = (force + p.polemass_length * np.square(theta_dot) * sine) / p.total_mass
+    theta_acceleration = (p.gravity * sine - cosine * temp) / (
+        p.length * (4.0 / 3.0 - p.masspole * np.square(cosine) / p.total_mass)
+    )
+    x_acceleration = temp - p.polemass_length * theta_acceleration * cosine / p.total_mass
+    return np.array(
+        (
+            x + p.tau * x_dot,
+            x_dot + p.tau * x_acceleration,
+            theta + p.tau * theta_dot,
+            theta_dot + p.tau * theta_acceleration,
+        )
+    )
+
+
+def _has_failed(p: CartPoleParameters, state: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """``bool[A]``: the cart or the pole is out of bounds."""
+    x, _, theta, _ = np.abs(state)
+    return (x > p.x_threshold) | (theta > p.theta_threshold_radians)
+
+
+def _observation(state: NDArray[np.float64]) -> NDArray[np.float32]:
+    return np.array(state.T, dtype=np.float32, order="C")
+
+
+def batched_cart_pole(environments: Sequence[gymnasium.Env[Any, Any]]) -> BatchedCartPole | None:
+    """These environments as one, or None where that would not be the same.
+
+    They must be `CartPole` itself, since a wrapper or a subclass may change anything, have equal parameters, and be
+    shown to nobody.
+    """
+    plain = [environment for environment in environments if type(environment) is CartPole]
+    parameters = {CartPoleParameters.of(environment) for environment in plain}
+    if len(plain) < len(environments) or len(parameters) > 1 or any(e.render_mode == "human" for e in plain):
+        return None
+    common = parameters.pop()
+    return BatchedCartPole(common, len(plain)) if common.kinematics_integrator == "euler" else None
