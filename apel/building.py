@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
+from gymnasium import spaces
 from pydantic import ValidationError
 
 from apel.configs import LearnerConfig, SelectorConfig
-from apel.environments import World
+from apel.environments import World, batched_environment
 from apel.learners import (
     DynaQ,
     DynaQOptions,
@@ -16,6 +17,9 @@ from apel.learners import (
     LearnerBank,
     QLearning,
     QLearningOptions,
+    SingleLearner,
+    StackedBank,
+    StackedLearner,
     TabularBank,
     TabularLearner,
     TabularMember,
@@ -134,11 +138,45 @@ def make_bank(
         models = [world.model for world in worlds if world.model is not None]
         learners = [_tabular_learner(config, seed, index) for config, seed in zip(configs, run_seeds, strict=True)]
         return TabularBank(models, keys, learners, performance, with_probability=with_probability, freezes=freezes)
+    if (stacked_type := _stacked_type(configs, worlds)) is not None:
+        return _stacked_bank(stacked_type, configs[0], worlds, run_seeds, index, performance, freezes=freezes)
     rows = zip(configs, worlds, run_seeds, strict=True)
     members = [
         make_member(config, world, seed, index, freezes=freezes, evaluates=evaluates) for config, world, seed in rows
     ]
     return GenericBank(members, [world.environment for world in worlds], keys, performance)
+
+
+def _stacked_type(configs: Sequence[LearnerConfig], worlds: Sequence[World]) -> Callable[..., StackedLearner] | None:
+    """What makes one stacked learner of all runs, where there is such a thing and the runs differ in nothing but their
+    seeds.
+    """
+    space = worlds[0].environment.observation_space
+    if any(config != configs[0] for config in configs) or any(w.environment.observation_space != space for w in worlds):
+        return None
+    learner = resolve(configs[0].type, LEARNERS, "learner")
+    if isinstance(learner, type) and issubclass(learner, SingleLearner) and not configs[0].members:
+        return learner.stacked_type
+    return None
+
+
+def _stacked_bank(
+    stacked_type: Callable[..., StackedLearner],
+    config: LearnerConfig,
+    worlds: Sequence[World],
+    run_seeds: Sequence[int],
+    index: int,
+    performance: Performance,
+    *,
+    freezes: bool,
+) -> StackedBank:
+    environment = worlds[0].environment
+    view = View(config.representation, environment.observation_space, worlds[0].features)
+    seeds = [make_key(seed, Role.LEARNER, index) for seed in run_seeds]
+    actions = cast("spaces.Discrete", environment.action_space)
+    learner = _construct(stacked_type, config.type, config.options, view.space, int(actions.n), seeds)
+    keys = [world.key for world in worlds]
+    return StackedBank(learner, batched_environment(worlds), keys, view, actions, performance, freezes=freezes)
 
 
 def is_tabular(configs: Sequence[LearnerConfig], worlds: Sequence[World]) -> bool:

@@ -12,7 +12,16 @@ from apel.learners.dyna_q import DynaQ
 from apel.learners.q_learning import QLearning
 from apel.learners.voting import Voting
 
-LEARNERS: Mapping[str, Callable[..., Any]] = {"q_learning": QLearning, "dyna_q": DynaQ, "voting": Voting}
+LEARNERS: Mapping[str, Callable[..., Any] | str] = {
+    "q_learning": QLearning,
+    "dyna_q": DynaQ,
+    "voting": Voting,
+    # By their import paths: loading PyTorch takes seconds, which only those who name a deep learner should spend.
+    "dqn": "apel.learners.deep.dqn:Dqn",
+    "acer": "apel.learners.deep.acer:Acer",
+    "sac": "apel.learners.deep.sac:DiscreteSac",
+    "stable_baselines": "apel.learners.stable_baselines:StableBaselines",
+}
 SELECTORS: Mapping[str, Callable[..., Any]] = {
     "apel": selectors.Apel,
     "apel_recency": selectors.ApelRecency,
@@ -47,7 +56,8 @@ def resolve(name: str, shipped: Mapping[str, Any], kind: str) -> Any:
         If there is no such thing; the message says what there is.
     """
     if name in shipped:
-        return shipped[name]
+        found = shipped[name]
+        return load(found) if isinstance(found, str) and ":" in found else found
     if ":" not in name:
         message = (
             f"found the {kind} {name!r}, expected one of {sorted(shipped)} or an import path 'package.module:Name'"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,10 +21,13 @@ class Bins:
     high: float
     count: Annotated[int, Field(ge=1)]
 
-    def index(self, value: float) -> int:
-        """The bin that ``value`` falls into, 0 … ``count`` − 1."""
-        edges = np.linspace(self.low, self.high, self.count + 1)[1:-1]
-        return int(np.searchsorted(edges, value, side="right"))
+    def index(self, value: float | NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+        """The bin that each ``value`` falls into, 0 … ``count`` − 1."""
+        return np.searchsorted(self._edges, value, side="right")
+
+    @cached_property
+    def _edges(self) -> NDArray[np.float64]:
+        return np.linspace(self.low, self.high, self.count + 1)[1:-1]
 
     @model_validator(mode="after")
     def _ordered(self) -> Bins:
@@ -97,6 +101,15 @@ class View:
         if self._bins:
             return np.array([self._bins[i].index(float(values[i])) for i in self._visible], dtype=np.int64)
         return values[self._visible]
+
+    def batch(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """What the learner sees of observations ``[A, …]``."""
+        if self._is_identity:
+            return observations
+        if self._bins:
+            columns = [self._bins[i].index(observations[:, i]) for i in self._visible]
+            return np.stack(columns, axis=1).astype(np.int64)
+        return observations[:, self._visible]
 
     def _reduced(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         if self._bins:

@@ -18,6 +18,8 @@ os.environ["AWS_EC2_METADATA_DISABLED"] = "true"
 os.environ["RAY_AUTH_MODE"] = "disabled"
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 os.environ["RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"] = "0"
+# Before PyTorch is imported: small networks on several threads wait for each other most of the time.
+os.environ["OMP_NUM_THREADS"] = "1"
 
 SMALL = """
 name: small-maze

@@ -23,19 +23,27 @@ def measure(performance: Performance, trajectory: Trajectory) -> float:
     return float(performance(trajectory))
 
 
-class Player(Protocol):
-    """What plays single episodes of single runs, without the book."""
+EpisodeRow = tuple[int, int, int, float, float, float, bool]
+"""The columns of `Episodes` for one episode."""
 
-    def play_one(self, run: int, episode: int) -> Trajectory:
-        """Act in one episode, learning step by step."""
-        ...
+
+class Evaluator(Protocol):
+    """What plays single episodes without exploring."""
 
     def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
         """Length and return of one episode without exploring or learning."""
         ...
 
 
-def criterion_measure(book: Book, player: Player, run: int, trajectory: Trajectory) -> float:
+class Player(Evaluator, Protocol):
+    """What plays single episodes of single runs, without the book."""
+
+    def play_one(self, run: int, episode: int) -> Trajectory:
+        """Act in one episode, learning step by step."""
+        ...
+
+
+def criterion_measure(book: Book, player: Evaluator, run: int, trajectory: Trajectory) -> float:
     """What the criterion measures of the coming episode of ``run``, which has just been played."""
     length, episode_return = len(trajectory), trajectory.undiscounted_return
     if evaluates_greedily(book.criterion_parameters):
@@ -56,7 +64,7 @@ def play_streaks(
 ) -> Played:
     """Play the streak of each run; a run that raises fails alone."""
     trajectories: list[Trajectory] = []
-    rows: list[tuple[int, int, int, float, float, float, bool]] = []
+    rows: list[EpisodeRow] = []
     failures: list[Failure] = []
     steps_per_run = max(limit.steps // len(runs), 1)
     for run in runs:
@@ -78,6 +86,11 @@ def play_streaks(
             streak_steps += len(trajectory)
             if streak_episodes >= limit.episodes or streak_steps >= steps_per_run:
                 break
+    return played(rows, trajectories, failures)
+
+
+def played(rows: Sequence[EpisodeRow], trajectories: Sequence[Trajectory], failures: Sequence[Failure]) -> Played:
+    """The answer of a bank; ``trajectories`` are those of ``rows``, or none."""
     episodes = Episodes.empty(len(rows))
     for column, values in zip(episodes, zip(*rows, strict=True), strict=False):
         column[:] = values

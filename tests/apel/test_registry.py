@@ -11,7 +11,7 @@ from apel.selectors import Apel
 
 def test_shipped_names() -> None:
     """The names that experiment files use."""
-    assert set(LEARNERS) == {"q_learning", "dyna_q", "voting"}
+    assert set(LEARNERS) == {"q_learning", "dyna_q", "voting", "dqn", "acer", "sac", "stable_baselines"}
     families = (
         {"apel", "apel_recency", "apel_margin", "apel_surprise"},
         {"ssbas", "esbas", "ucb1", "sw_ucb", "d_ucb", "agent57", "d3rb", "ed2rb"},

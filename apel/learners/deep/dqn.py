@@ -1,0 +1,272 @@
+"""Deep Q-networks (Mnih et al. 2015) as OpenAI Baselines runs them, for all runs of a shard at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from torch import Tensor
+
+from apel.batched import Runs
+from apel.learners.base import State
+from apel.learners.deep.devices import LANES, DeviceName, open_device
+from apel.learners.deep.draws import acting_streams, draw_epsilon_greedy, sampling_streams
+from apel.learners.deep.encoding import Encoder, Encoding
+from apel.learners.deep.networks import OPTIONS_CONFIG, NetworkOptions, QNetwork, Width
+from apel.learners.deep.parameters import RowAdam, Rows, clip_each_variable, initial_rows
+from apel.learners.deep.prioritised import Priorities, PriorityOptions
+from apel.learners.deep.replay import Minibatch, Replay
+from apel.learners.single import SingleLearner
+from apel.learners.stacked import Transitions
+
+_Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+_Positive = Annotated[float, Field(gt=0.0)]
+
+
+@dataclass(frozen=True, config=OPTIONS_CONFIG)
+class DqnOptions:
+    """Options of DQN; the defaults are those of OpenAI Baselines' ``deepq`` for vectors.
+
+    Attributes
+    ----------
+    learning_rate, adam_epsilon:
+        Of Adam.
+    discount:
+        γ.
+    total_steps:
+        Over so many observed environment steps the schedules run.
+    exploration_fraction, final_exploration:
+        ε falls linearly from 1 to ``final_exploration`` over this fraction of ``total_steps``, and stays there.
+    replay_size, batch_size:
+        Transitions that are remembered, and those of one update.
+    learning_starts:
+        Updates begin after so many observed steps.
+    train_every:
+        Observed steps from update to update.
+    target_update_every:
+        Observed steps from copy to copy of the target network.
+    double:
+        The online network chooses the action of the target (van Hasselt, Guez & Silver 2016).
+    dueling, head_hidden:
+        Separate heads for the state's value and the advantages, and the units of their hidden layers.
+    max_gradient_norm:
+        Of each variable; None: gradients are not clipped.
+    prioritized:
+        Prioritised replay; None: uniform.
+    encoding:
+        How observations go into the network, see `Encoder`.
+    network:
+        The body.
+    device:
+        ``cpu``, ``cuda`` or ``cuda:n``.
+    lanes:
+        On other devices than the CPU, the number of runs in one call; there it may change the last bits of a result.
+    """
+
+    learning_rate: _Positive = 5e-4
+    adam_epsilon: _Positive = 1e-8
+    discount: _Probability = 1.0
+    total_steps: Width = 100_000
+    exploration_fraction: _Probability = 0.1
+    final_exploration: _Probability = 0.02
+    replay_size: Width = 50_000
+    batch_size: Width = 32
+    learning_starts: Annotated[int, Field(ge=0, strict=True)] = 1000
+    train_every: Width = 1
+    target_update_every: Width = 500
+    double: bool = True
+    dueling: bool = True
+    head_hidden: tuple[Width, ...] = (256,)
+    max_gradient_norm: _Positive | None = 10.0
+    prioritized: PriorityOptions | None = None
+    encoding: Encoding = "raw"
+    network: NetworkOptions = NetworkOptions()
+    device: DeviceName = "cpu"
+    lanes: Width = LANES
+
+    def exploration(self, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+        """ε after so many observed steps, ``float64[A]``."""
+        horizon = max(int(self.exploration_fraction * self.total_steps), 1)
+        return 1.0 + (self.final_exploration - 1.0) * np.minimum(steps / horizon, 1.0)
+
+
+class Batch(NamedTuple):
+    """A minibatch as tensors, B transitions of each of A runs."""
+
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    next_observation: Tensor
+    terminated: Tensor
+    weight: Tensor
+
+
+def td_errors(network: QNetwork, online: Tensor, target: Tensor, batch: Batch, options: DqnOptions) -> Tensor:
+    """``float32[A, B]``: Q(s, a) − y with y = r + γ (1 − terminated) Q_target(s′, a*); the gradient is that of Q alone.
+
+    a* is the online network's choice with ``double``, else the target's.
+    """
+    with torch.no_grad():
+        following = network(target, batch.next_observation)
+        chooser = network(online, batch.next_observation) if options.double else following
+        best = following.gather(2, chooser.argmax(-1, keepdim=True)).squeeze(-1)
+        wanted = batch.reward + options.discount * (1.0 - batch.terminated) * best
+    predicted = network(online, batch.observation).gather(2, batch.action.unsqueeze(-1)).squeeze(-1)
+    return predicted - wanted
+
+
+class StackedDqn:
+    """DQN for R runs.
+
+    Parameters
+    ----------
+    observation_space:
+        What the learners see.
+    num_actions:
+        How many actions there are.
+    seeds:
+        A 64-bit seed per run: initial weights, exploration and minibatches follow from it.
+    options:
+        Those of `DqnOptions`.
+    """
+
+    off_policy: ClassVar[bool] = True
+
+    def __init__(
+        self, observation_space: spaces.Space[Any], num_actions: int, seeds: Sequence[int], **options: Any
+    ) -> None:
+        self.options = DqnOptions(**options)
+        device = open_device(self.options.device)
+        self._num_actions = num_actions
+        self._encoder = Encoder(observation_space, self.options.encoding)
+        self._network = QNetwork(
+            self._encoder.shape,
+            num_actions,
+            self.options.network,
+            self.options.head_hidden,
+            dueling=self.options.dueling,
+        )
+        self._rows = Rows(len(seeds), device, self.options.lanes)
+        self._online = initial_rows(self._network.layout, seeds, device)
+        self._target = self._online.clone()
+        self._frozen: Tensor | None = None
+        self._adam = RowAdam(self._online, self.options.learning_rate, self.options.adam_epsilon)
+        self._replay = Replay(
+            len(seeds), self.options.replay_size, self._encoder.observation_shape, self._encoder.storage_type
+        )
+        prioritized = self.options.prioritized
+        self._priorities = Priorities(len(seeds), self.options.replay_size, prioritized) if prioritized else None
+        self._acting, self._sampling = acting_streams(list(seeds)), sampling_streams(list(seeds))
+        self._steps = np.zeros(len(seeds), dtype=np.int64)
+
+    def act(self, runs: Runs, observation: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """See `StackedLearner`: ε-greedy."""
+        actions = np.empty(len(runs), dtype=np.int64)
+        probability = np.empty((len(runs), self._num_actions))
+        values = self._values(runs, observation)
+        exploration = self.options.exploration(self._steps[runs])
+        draw_epsilon_greedy(values, exploration, runs, self._acting, actions, probability)
+        return actions, probability
+
+    def action_values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float64]:
+        """Q(s, ·) of the policies that act."""
+        return self._values(runs, observation).astype(np.float64)
+
+    def learn(self, runs: Runs, transitions: Transitions) -> None:
+        """Remember one step; update the network, and copy it, where it is time."""
+        slots = self._replay.add(runs, transitions)
+        if self._priorities:
+            self._priorities.add(runs, slots)
+        steps, options = self._steps[runs], self.options
+        self._steps[runs] += 1
+        begun = steps > options.learning_starts
+        due = runs[begun & (steps % options.train_every == 0)]
+        for one_call in self._rows.calls(due):
+            self._update(one_call)
+        copied = runs[begun & (steps % options.target_update_every == 0)]
+        if len(copied):
+            self._rows.copy(self._target, self._online, copied)
+
+    def end_episode(self, runs: Runs) -> None:
+        """DQN counts steps, not episodes."""
+
+    def freeze(self, runs: Runs) -> None:
+        """Act on today's network until the next call."""
+        if self._frozen is None:
+            self._frozen = self._online.clone()
+        self._rows.copy(self._frozen, self._online, runs)
+
+    def state(self) -> State:
+        """Networks, optimiser, memory, streams and clocks."""
+        return {
+            "online": self._rows.array(self._online),
+            "target": self._rows.array(self._target),
+            "frozen": self._rows.array(self._frozen),
+            "adam": self._adam.state(),
+            "replay": self._replay.state(),
+            "priorities": self._priorities.state() if self._priorities else None,
+            "streams": [self._acting.copy(), self._sampling.copy()],
+            "steps": self._steps.copy(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Go back to what `state` returned."""
+        self._rows.restore(self._online, state["online"])
+        self._rows.restore(self._target, state["target"])
+        self._frozen = self._rows.matrix(state["frozen"])
+        self._adam.restore(state["adam"])
+        self._replay.restore(state["replay"])
+        if self._priorities:
+            self._priorities.restore(state["priorities"])
+        self._acting, self._sampling = (np.array(stream) for stream in state["streams"])
+        self._steps = np.array(state["steps"])
+
+    def _values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float32]:
+        return self._rows.forward(self._evaluate, runs, self._encoder(observation))
+
+    def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
+        acting = self._online if self._frozen is None else self._frozen
+        return self._network(self._rows.of(acting, runs), inputs)
+
+    def _update(self, runs: Runs) -> None:
+        slots, weights = self._draw(runs)
+        batch = self._tensors(self._replay.take(runs, slots), weights)
+        online = self._rows.of(self._online, runs).detach().requires_grad_()
+        errors = td_errors(self._network, online, self._rows.of(self._target, runs), batch, self.options)
+        losses = torch.nn.functional.huber_loss(errors, torch.zeros_like(errors), reduction="none")
+        loss = (batch.weight * losses).mean(1).sum()
+        (gradients,) = torch.autograd.grad(loss, online)
+        if self.options.max_gradient_norm is not None:
+            clip_each_variable(gradients, self._network.layout, self.options.max_gradient_norm)
+        self._adam.step(runs, gradients)
+        if self._priorities:
+            self._priorities.update(runs, slots, errors.detach()[: len(runs)].cpu().numpy())
+
+    def _draw(self, runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        size = self.options.batch_size
+        if not self._priorities:
+            return self._replay.draw(runs, size, self._sampling), np.ones((len(runs), size), dtype=np.float32)
+        correction = self._priorities.correction(self._steps[runs] / self.options.total_steps)
+        return self._priorities.draw(runs, self._replay.size, size, correction, self._sampling)
+
+    def _tensors(self, batch: Minibatch, weights: NDArray[np.float32]) -> Batch:
+        return Batch(
+            observation=self._rows.tensor(self._encoder(batch.observation)),
+            action=self._rows.tensor(batch.action),
+            reward=self._rows.tensor(batch.reward),
+            next_observation=self._rows.tensor(self._encoder(batch.next_observation)),
+            terminated=self._rows.tensor(batch.terminated),
+            weight=self._rows.tensor(weights),
+        )
+
+
+class Dqn(SingleLearner):
+    """DQN for one run; see `StackedDqn` and `DqnOptions`."""
+
+    stacked_type = StackedDqn

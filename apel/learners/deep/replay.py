@@ -1,0 +1,96 @@
+"""Replay memories of many runs: rings of transitions (Lin 1992), drawn from uniformly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from apel.batched import Runs
+from apel.learners.base import State
+from apel.learners.deep.draws import Streams, draw_indices
+from apel.learners.stacked import Transitions
+
+
+class Minibatch(NamedTuple):
+    """B transitions of each of A runs."""
+
+    observation: NDArray[Any]
+    """``[A, B, …]``, as stored."""
+    action: NDArray[np.int64]
+    reward: NDArray[np.float32]
+    next_observation: NDArray[Any]
+    terminated: NDArray[np.float32]
+    """1 where the episode was over, 0 elsewhere."""
+
+
+class Replay:
+    """The last ``capacity`` transitions of each of R runs.
+
+    Attributes
+    ----------
+    size:
+        ``int64[R]``: how many each run holds.
+    """
+
+    def __init__(self, num_runs: int, capacity: int, shape: Sequence[int], storage_type: np.dtype[Any]) -> None:
+        self._capacity = capacity
+        self.size = np.zeros(num_runs, dtype=np.int64)
+        self._added = np.zeros(num_runs, dtype=np.int64)
+        # Zeros take up memory only once they are written to.
+        self._observation = np.zeros((num_runs, capacity, *shape), dtype=storage_type)
+        self._next_observation = np.zeros_like(self._observation)
+        self._action = np.zeros((num_runs, capacity), dtype=np.int16)
+        self._reward = np.zeros((num_runs, capacity), dtype=np.float32)
+        self._terminated = np.zeros((num_runs, capacity), dtype=np.bool_)
+
+    def add(self, runs: Runs, transitions: Transitions) -> NDArray[np.int64]:
+        """Store one transition of each run in place of its oldest; the slots that they went to."""
+        slots = self._added[runs] % self._capacity
+        self._observation[runs, slots] = transitions.observation
+        self._next_observation[runs, slots] = transitions.next_observation
+        self._action[runs, slots] = transitions.action
+        self._reward[runs, slots] = transitions.reward
+        self._terminated[runs, slots] = transitions.terminated
+        self._added[runs] += 1
+        self.size[runs] = np.minimum(self._added[runs], self._capacity)
+        return slots
+
+    def draw(self, runs: Runs, batch_size: int, streams: Streams) -> NDArray[np.int64]:
+        """Slots ``int64[A, B]``, uniformly with replacement."""
+        slots = np.empty((len(runs), batch_size), dtype=np.int64)
+        draw_indices(self.size, runs, streams, slots)
+        return slots
+
+    def take(self, runs: Runs, slots: NDArray[np.int64]) -> Minibatch:
+        """The transitions in ``slots`` ``[A, B]``."""
+        chosen = runs[:, None], slots
+        return Minibatch(
+            observation=self._observation[chosen],
+            action=self._action[chosen].astype(np.int64),
+            reward=self._reward[chosen],
+            next_observation=self._next_observation[chosen],
+            terminated=self._terminated[chosen].astype(np.float32),
+        )
+
+    def state(self) -> State:
+        """All that is filled."""
+        return {
+            "added": self._added.copy(),
+            "columns": [column[:, : self._filled()].copy() for column in self._columns()],
+        }
+
+    def restore(self, state: State) -> None:
+        """Go back to what `state` returned."""
+        self._added = np.array(state["added"])
+        self.size = np.minimum(self._added, self._capacity)
+        for column, stored in zip(self._columns(), state["columns"], strict=True):
+            column[:, : self._filled()] = stored
+
+    def _filled(self) -> int:
+        return int(self.size.max(initial=0))
+
+    def _columns(self) -> list[NDArray[Any]]:
+        return [self._observation, self._next_observation, self._action, self._reward, self._terminated]

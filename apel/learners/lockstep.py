@@ -1,0 +1,77 @@
+"""Walking through the episodes of a batch, one step of every run at a time."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from apel.trajectory import TrajectoryBatch
+
+
+class Step(NamedTuple):
+    """One step of A runs, in the order of `Cursor.runs`; actions are counted from 0, unknown probabilities NaN."""
+
+    entry: NDArray[Any]
+    next_entry: NDArray[Any]
+    action: NDArray[np.int64]
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    probability: NDArray[np.float64]
+
+
+class Cursor:
+    """A place in the episodes of each run of a batch.
+
+    Attributes
+    ----------
+    runs:
+        ``int64[A]``: the runs that have steps left, in rising order.
+    """
+
+    def __init__(self, batch: TrajectoryBatch, num_actions: int, first_action: int) -> None:
+        self._batch, self._num_actions, self._first_action = batch, num_actions, first_action
+        length = batch.episodes.length
+        self._first_step = np.cumsum(length) - length
+        # Rows of the batch run by run, each run's in the order of play, and where each run's begin and end.
+        self._row = np.argsort(batch.episodes.run, kind="stable")
+        self.runs, begin, count = np.unique(batch.episodes.run[self._row], return_index=True, return_counts=True)
+        self._at, self._end = begin.astype(np.int64), begin + count
+        self._taken = np.zeros(len(self.runs), dtype=np.int64)
+
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """``int64[A]``: which episode each run is in."""
+        return self._batch.episodes.episode[self._row[self._at]]
+
+    def step(self) -> Step:
+        """The step at which every run stands."""
+        batch, row = self._batch, self._row[self._at]
+        here = self._first_step[row] + self._taken
+        entry = here + row  # every episode before has one more observation than steps
+        is_last = self._taken + 1 == batch.episodes.length[row]
+        terminated = is_last & batch.episodes.terminated[row]
+        unknown = np.full((len(row), self._num_actions), np.nan)
+        return Step(
+            entry=batch.observation[entry],
+            next_entry=batch.observation[entry + 1],
+            action=batch.action[here].astype(np.int64) - self._first_action,
+            reward=batch.reward_value[batch.reward_code[here]],
+            terminated=terminated,
+            truncated=is_last & ~terminated,
+            probability=unknown if batch.probability is None else batch.probability[here],
+        )
+
+    def advance(self) -> NDArray[np.bool_]:
+        """Go to the next step of every run, and forget those that have none; which of the rest begin an episode."""
+        self._taken += 1
+        started = self._taken == self._batch.episodes.length[self._row[self._at]]
+        self._at[started] += 1
+        self._taken[started] = 0
+        left = self._at < self._end
+        self.runs, self._at, self._end, self._taken = (
+            column[left] for column in (self.runs, self._at, self._end, self._taken)
+        )
+        return started[left]
