@@ -108,6 +108,12 @@ def num_cpus_of_cluster() -> int:
     return int(resources.get("CPU", 0))
 
 
+def num_gpus_of_cluster() -> float:
+    """How many GPUs the nodes that are there now have together, whoever uses them."""
+    resources: dict[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
+    return resources.get("GPU", 0.0)
+
+
 def _get(references: list[ObjectRef]) -> list[Any]:
     """The values; an error of an actor's own code is raised as it was there, without Ray's account of where."""
     try:
@@ -166,10 +172,21 @@ class RemoteHosts:
 
 
 class Gang:
-    """A coordinator actor and its hosts."""
+    """A coordinator actor and its hosts.
 
-    def __init__(self, name: str, num_hosts: int, make_coordinator: Callable[[Hosts], tuple[Any, ...]]) -> None:
-        self._group = placement_group([{"CPU": 1}], strategy="STRICT_PACK", name=name)
+    Attributes
+    ----------
+    gpus:
+        The share of GPUs of each host; empty where none has any. Without hosts of their own the learners live in the
+        coordinator, which gets them all.
+    """
+
+    def __init__(
+        self, name: str, num_hosts: int, gpus: Sequence[float], make_coordinator: Callable[[Hosts], tuple[Any, ...]]
+    ) -> None:
+        self.gpus = tuple(gpus)
+        bundle = {"CPU": 1.0, "GPU": sum(gpus)} if gpus else {"CPU": 1.0}
+        self._group = placement_group([bundle], strategy="STRICT_PACK", name=name)
         options: dict[str, Any] = {
             "scheduling_strategy": PlacementGroupSchedulingStrategy(self._group, placement_group_bundle_index=0),
             "max_restarts": 0,
@@ -181,13 +198,16 @@ class Gang:
         # Apart from `run`, which takes as long as a shard does: it must be possible to tell a coordinator to stop.
         remote: Any = ray.remote
         coordinator_class = remote(concurrency_groups={"control": 1})(Coordinator)
+        shares = [*gpus, *[0.0] * (num_hosts - len(gpus))][:num_hosts]
         self._hosts = [
-            host_class.options(name=f"{name}/learner-{i}", num_cpus=share, **options).remote() for i in range(num_hosts)
+            host_class.options(name=f"{name}/learner-{i}", num_cpus=share, num_gpus=gpu, **options).remote()
+            for i, gpu in enumerate(shares)
         ]
         hosts = RemoteHosts(self._hosts) if num_hosts else LocalHosts()
-        self._coordinator = coordinator_class.options(
-            name=f"{name}/coordinator", num_cpus=0 if num_hosts else 1, **options
-        ).remote(*make_coordinator(hosts))
+        own = {"num_cpus": 0} if num_hosts else {"num_cpus": 1, "num_gpus": sum(gpus)}
+        self._coordinator = coordinator_class.options(name=f"{name}/coordinator", **own, **options).remote(
+            *make_coordinator(hosts)
+        )
 
     def start(self, shard: Shard) -> Any:
         """Begin a shard: a generator of references to its progress."""

@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import ray
 
-from cluster.errors import ShardLostError
+from cluster.errors import ClusterError, ShardLostError
 from cluster.events import ShardEvent, ShardProgress, ShardRestarted, ShardWaiting
-from cluster.launch import Gang, num_cpus_of_cluster
+from cluster.launch import Gang, num_cpus_of_cluster, num_gpus_of_cluster
 from cluster.protocols import CheckpointStore, Hosts, ResultSink
 from cluster.retry import FaultCounter, RetryPolicy
 from cluster.shard import Execution, Shard
@@ -64,6 +64,16 @@ class _Delayed:
     shard: Shard
 
 
+def _check_gpus(shards: Sequence[Shard]) -> None:
+    """A gang that wants more than there is would wait for ever."""
+    wanted = max((sum(shard.arm.learner_gpus) for shard in shards), default=0.0)
+    if wanted and wanted > (found := num_gpus_of_cluster()):
+        message = (
+            f"found {found:g} GPUs in the Ray cluster, expected at least {wanted:g}: the num_gpus of an arm's learners"
+        )
+        raise ClusterError(message)
+
+
 class ShardPool:
     """The gangs of a job, and the shards that they play."""
 
@@ -103,7 +113,10 @@ class ShardPool:
         ------
         ShardLostError
             If a shard's processes died too often.
+        ClusterError
+            If a shard wants more GPUs than the cluster has.
         """
+        _check_gpus(shards)
         self._queue = deque(shards)
         self._num_hosts = max((len(shard.arm.learner_names) for shard in shards), default=0)
         try:
@@ -139,19 +152,29 @@ class ShardPool:
         self._balance()
         # A shard that waits out its back-off keeps its place: the gang in place of its lost one is for it.
         while self._queue and len(self._idle) > len(self._delayed):
-            gang, shard = self._idle.pop(), self._queue.popleft()
+            shard = self._queue.popleft()
+            gang = self._take_idle(shard.arm.learner_gpus)
             self._active[gang.start(shard)] = (gang, shard)
         starved = bool(self._queue) and self._num_cpus == 0
         if starved and not self._was_starved:
             yield self._queue[0], ShardWaiting()
         self._was_starved = starved
 
+    def _take_idle(self, gpus: Sequence[float]) -> Gang:
+        """An idle gang whose hosts have such GPUs; a new one in place of another where there is none."""
+        for gang in self._idle:
+            if gang.gpus == tuple(gpus):
+                self._idle.remove(gang)
+                return gang
+        self._idle.pop().kill()
+        return self._new_gang(gpus)
+
     def _balance(self) -> None:
         num_idle = len(self._idle)
         num_waiting = len(self._queue) + len(self._delayed)
         change = gangs_to_hire(self._num_cpus, num_idle + len(self._active), num_idle, num_waiting)
         for _ in range(change):
-            self._idle.append(self._new_gang())
+            self._idle.append(self._new_gang(self._wanted_gpus()))
         for _ in range(-change):
             self._idle.pop().kill()
 
@@ -193,10 +216,15 @@ class ShardPool:
             self._delayed.append(_Delayed(time.monotonic() + delay, shard))
         return ShardRestarted(self._faults.in_a_row(shard.key), delay, line)
 
-    def _new_gang(self) -> Gang:
+    def _wanted_gpus(self) -> Sequence[float]:
+        """Those of the next shard in the queue."""
+        return self._queue[0].arm.learner_gpus if self._queue else ()
+
+    def _new_gang(self, gpus: Sequence[float]) -> Gang:
         name = f"{self._experiment}/gang-{self._num_hired}"
         self._num_hired += 1
-        return Gang(name, self._num_hosts if self._placement == "actors" else 0, self._coordinator_parts)
+        num_hosts = self._num_hosts if self._placement == "actors" else 0
+        return Gang(name, num_hosts, gpus, self._coordinator_parts)
 
     def _coordinator_parts(self, hosts: Hosts) -> tuple[Any, ...]:
         return (hosts, *self._parts)

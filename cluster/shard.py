@@ -87,6 +87,8 @@ class ArmPlan:
     recording: Recording = "none"
     sweep_values: Mapping[str, Any] = field(default_factory=dict)
     """What the sweep point stands for, by the name of each axis."""
+    learner_gpus: tuple[float, ...] = ()
+    """The share of GPUs that each learner's process gets; empty where none gets any."""
 
 
 @dataclass(frozen=True)

@@ -169,7 +169,13 @@ def arm_plan(point: SweepPoint, arm: str) -> ArmPlan:
         steady_state_episodes=experiment.steady_state_episodes or 0,
         recording=experiment.record,
         sweep_values=point.values,
+        learner_gpus=_gpus(experiment, spec),
     )
+
+
+def _gpus(experiment: Experiment, spec: ArmSpec) -> tuple[float, ...]:
+    shares = tuple(experiment.learners[name].num_gpus for name in spec.learner_names)
+    return shares if any(shares) else ()
 
 
 def run_plan(experiment: Experiment, arm: str, index: int, seed: int) -> RunPlan:

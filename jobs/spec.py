@@ -22,7 +22,10 @@ Count = Annotated[int, Field(ge=1, strict=True)]
 
 
 _NOT_SWEPT = {"name", "runs", "seed", "sweep", "arms", "hindsight", "plots"}
-_NO_PART_OF_IDENTITY = {"runs", "title", "figures", "hindsight", "plots"}
+_NO_PART_OF_IDENTITY: dict[str, Any] = {
+    **dict.fromkeys(("runs", "title", "figures", "hindsight", "plots"), True),
+    "learners": {"__all__": {"num_gpus"}},
+}
 LABEL = "label"
 """In an axis of the sweep: no path, but what its places are called."""
 _FORMAT = 2
@@ -54,11 +57,15 @@ class EnvironmentSpec(_Model):
 
 
 class LearnerSpec(_Open):
-    """A learner by registry key or import path, what it sees, its options; ``members`` are learners that it holds."""
+    """A learner by registry key or import path, what it sees, its options; ``members`` are learners that it holds.
+
+    ``num_gpus`` is the share of GPUs that its process gets; like all that says where to run it changes no result.
+    """
 
     type: str
     representation: dict[str, Any] = {}
     members: list[Name] = []
+    num_gpus: Annotated[float, Field(ge=0.0)] = 0.0
 
 
 class SelectorSpec(_Open):

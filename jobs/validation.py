@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 from apel.book import open_book
 from apel.building import make_bank, make_performance, make_selector
+from apel.configs import LearnerConfig
 from apel.environments import World
 from apel.seeding import run_seeds
 from apel.selection import Selector, freezes_policies
@@ -87,9 +89,16 @@ def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
         raise SpecError(message) from error
 
 
+def _on_cpu(config: LearnerConfig) -> LearnerConfig:
+    """The learner without its GPU, which the machine that submits a job need not have."""
+    if not str(config.options.get("device", "")).startswith("cuda"):
+        return config
+    return replace(config, options={**config.options, "device": "cpu"})
+
+
 def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan, selector: Selector) -> None:
     bank = make_bank(
-        [run.learners[index]],
+        [_on_cpu(run.learners[index])],
         [world],
         [run.seed],
         index,
