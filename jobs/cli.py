@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, get_args
 
 import typer
 from rich.console import Console
@@ -27,7 +27,7 @@ from jobs.remote import commands as job_commands
 from jobs.result_commands import draw, write_and_show_reproduction
 from jobs.runner import Outcome, Placement, Settings, run_experiment
 from jobs.spec import Experiment
-from jobs.spec_files import load_experiment, shipped_experiments, shipped_galleries, shortcuts
+from jobs.spec_files import Group, load_experiment, shipped_experiments, shipped_galleries, shortcuts
 from jobs.status_file import StatusFile
 from jobs.stopping import stop_on_signals
 from jobs.store import ResultStore, StoreError
@@ -155,14 +155,18 @@ def run(
 @app.command()
 def reproduce(
     scale: Annotated[str, typer.Option(help="smoke (2 runs each), tenth or full.")] = "full",
+    group: Annotated[str, typer.Option(help="tabular, deep (hours on two cores) or cluster.")] = "tabular",
     results: _Results = None,
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "packed",
     address: Annotated[str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT.")] = None,
     cpus: Annotated[int | None, typer.Option(min=1, help="CPUs of the Ray that is started here.")] = None,
 ) -> None:
-    """Run all shipped experiments, or go on where that stopped; then figures, claims, and one report of it all."""
+    """Run all experiments of a group, or go on where that stopped; then figures, claims, and one report of it all."""
     if scale not in ("smoke", "tenth", "full"):
         message = f"--scale: found {scale!r}, expected smoke, tenth or full"
+        raise SpecError(message)
+    if group not in get_args(Group):
+        message = f"--group: found {group!r}, expected {', '.join(get_args(Group))}"
         raise SpecError(message)
     job = job_commands.current_job()
     results = job_commands.results_root(results, job)
@@ -177,7 +181,7 @@ def reproduce(
     failed = False
     stores: list[ResultStore] = []
     with _graceful_stop() as stopping:
-        for experiment, outcome in reproduction.reproduce(scale, settings, observer_for, stopping):  # type: ignore[arg-type]
+        for experiment, outcome in reproduction.reproduce(scale, group, settings, observer_for, stopping):  # type: ignore[arg-type]
             _out.print(f"{experiment.name}: {outcome.num_computed} runs in {outcome.seconds:.1f} s", highlight=False)
             stores.append(outcome.store)
             failed |= bool(outcome.failures)

@@ -1,4 +1,4 @@
-"""All shipped experiments, one after the other, on one cluster; what is finished is not played again."""
+"""All shipped experiments of a group, one after the other, on one cluster; what is finished is not played again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jobs.observers import Observer
 from jobs.plan import arm_points
 from jobs.runner import Outcome, Settings, Stopping, run_experiment
 from jobs.spec import Experiment
-from jobs.spec_files import load_experiment, shipped_experiments
+from jobs.spec_files import Group, load_experiment, shipped_experiments
 
 Scale = Literal["smoke", "tenth", "full"]
 _SMOKE_RUNS = 2
@@ -22,9 +22,9 @@ def scaled(experiment: Experiment, scale: Scale) -> Experiment:
     return experiment.model_copy(update={"runs": runs[scale]})
 
 
-def reproduced_experiments(scale: Scale) -> list[Experiment]:
-    """All shipped experiments, small ones first, so that most of them are there early."""
-    experiments = [scaled(load_experiment(name), scale) for name in shipped_experiments()]
+def reproduced_experiments(scale: Scale, group: Group) -> list[Experiment]:
+    """The shipped experiments of a group, small ones first, so that most of them are there early."""
+    experiments = [scaled(load_experiment(name), scale) for name in shipped_experiments(group)]
     return sorted(experiments, key=_most_episodes)
 
 
@@ -37,11 +37,12 @@ def _most_episodes(experiment: Experiment) -> int:
 
 def reproduce(
     scale: Scale,
+    group: Group,
     settings: Settings,
     observer_for: Callable[[Experiment], Observer],
     stopping: Stopping = lambda: False,
 ) -> Iterator[tuple[Experiment, Outcome]]:
-    """Run every shipped experiment, or go on where an earlier call stopped; yields each with what came of it.
+    """Run every experiment of a group, or go on where an earlier call stopped; yields each with what came of it.
 
     Raises
     ------
@@ -49,7 +50,7 @@ def reproduce(
         See `jobs.runner.run_experiment`.
     """
     with _cluster(settings):
-        for experiment in reproduced_experiments(scale):
+        for experiment in reproduced_experiments(scale, group):
             yield experiment, run_experiment(experiment, settings, observer_for(experiment), stopping)
 
 

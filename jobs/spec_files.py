@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 import yaml
 
 from jobs.spec import Experiment, Gallery, set_path, validate
 from jobs.yaml_source import SpecError, parse
 
+Group = Literal["tabular", "deep", "cluster"]
+_FOLDERS: Mapping[Group, str] = {"tabular": "", "deep": "deep", "cluster": "cluster"}
+"""Below ``experiments/``: what two cores play in an hour; with deep learners, in some hours; what wants a cluster."""
 
-def shipped_experiments() -> dict[str, str]:
-    """Name → text of the experiment files that come with the package."""
-    return _shipped("arms")
+
+def shipped_experiments(*groups: Group) -> dict[str, str]:
+    """Name → text of the experiment files that come with the package, of some groups or of all."""
+    found: dict[str, str] = {}
+    for group in groups or _FOLDERS:
+        found |= _shipped("arms", _FOLDERS[group])
+    return found
+
+
+def groups_of(names: Collection[str]) -> list[Group]:
+    """The groups to which shipped experiments belong."""
+    return [group for group in _FOLDERS if set(names) & set(shipped_experiments(group))]
 
 
 def shipped_galleries() -> dict[str, Gallery]:
@@ -23,9 +36,9 @@ def shipped_galleries() -> dict[str, Gallery]:
     return {name: Gallery.model_validate(source.content) for name, source in found.items()}
 
 
-def _shipped(field: str) -> dict[str, str]:
+def _shipped(field: str, subfolder: str = "") -> dict[str, str]:
     """Name → text of the shipped files that have a field at their top."""
-    folder = resources.files("jobs") / "experiments"
+    folder = resources.files("jobs") / "experiments" / subfolder
     files = sorted((file for file in folder.iterdir() if file.name.endswith(".yaml")), key=lambda file: file.name)
     texts = {file.name.removesuffix(".yaml"): file.read_text(encoding="utf-8") for file in files}
     return {name: text for name, text in texts.items() if f"\n{field}:" in text}

@@ -22,7 +22,7 @@ from jobs.analysis.figures import draw_figures, draw_gallery
 from jobs.analysis.report import write_report
 from jobs.analysis.reproduction_page import reproduction_page
 from jobs.ledger import write_ledger
-from jobs.spec_files import shipped_galleries
+from jobs.spec_files import groups_of, shipped_experiments, shipped_galleries
 from jobs.store import ResultStore
 
 
@@ -32,10 +32,12 @@ def write_reproduction(folder: Folder, stores: Sequence[ResultStore]) -> list[Ve
         draw_figures(store, store.experiment())
         write_report(store)
         _copy(store, folder)
-    galleries = shipped_galleries()
+    groups = groups_of([store.experiment().name for store in stores])
+    galleries = shipped_galleries() if "tabular" in groups else {}
     for name, gallery in galleries.items():
         draw_gallery(gallery, folder.sub(f"figures/{name}"))
-    verdicts = evaluate(shipped_claims(), stores)
+    concerned = shipped_experiments(*groups)
+    verdicts = evaluate([claim for claim in shipped_claims() if claim.experiment in concerned], stores)
     write_ledger(folder, verdicts)
     folder.write("report.html", reproduction_page(folder, galleries.values(), stores, verdicts))
     return verdicts
