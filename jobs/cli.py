@@ -189,7 +189,7 @@ def reproduce(
                 _err.print(f"error: {line}", style="red", highlight=False, markup=False)
             if outcome.was_stopped:
                 raise InterruptedJobError
-    write_and_show_reproduction(results, stores)
+    write_and_show_reproduction(results, stores, group)  # type: ignore[arg-type]
     if failed:
         raise typer.Exit(1)
 

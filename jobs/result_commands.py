@@ -12,7 +12,7 @@ from rich.console import Console
 from cluster.storage import Folder, joined
 from jobs.analysis.report import write_report
 from jobs.spec import Experiment
-from jobs.spec_files import shipped_galleries
+from jobs.spec_files import Group, shipped_galleries
 from jobs.store import ResultStore
 from jobs.terminal import summary_table
 
@@ -95,12 +95,12 @@ def draw(store: ResultStore, experiment: Experiment) -> list[str]:
     return draw_figures(store, experiment)
 
 
-def write_and_show_reproduction(results: str, stores: list[ResultStore]) -> None:
+def write_and_show_reproduction(results: str, stores: list[ResultStore], group: Group) -> None:
     """Write the pages of a reproduction, and show its ledger."""
     from jobs.analysis.reproduction_folder import write_reproduction
 
-    folder = Folder(joined(results, "reproduction"))
-    _show_verdicts(write_reproduction(folder, stores))
+    folder = Folder(joined(results, "reproduction" if group == "tabular" else f"reproduction-{group}"))
+    _show_verdicts(write_reproduction(folder, stores, group))
     for name in ("claims.parquet", "claims.md", "tables/", "figures/", "report.html"):
         _out.print(folder.location(name), highlight=False)
 

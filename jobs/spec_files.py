@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -23,11 +23,6 @@ def shipped_experiments(*groups: Group) -> dict[str, str]:
     for group in groups or _FOLDERS:
         found |= _shipped("arms", _FOLDERS[group])
     return found
-
-
-def groups_of(names: Collection[str]) -> list[Group]:
-    """The groups to which shipped experiments belong."""
-    return [group for group in _FOLDERS if set(names) & set(shipped_experiments(group))]
 
 
 def shipped_galleries() -> dict[str, Gallery]:

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from cluster.events import ShardEvent, ShardRestarted, ShardWaiting
 from cluster.shard import Shard
-from jobs.analysis.results_table import results_table
+from jobs.analysis.results_table import results_table, short_count
 from jobs.manifest import arm_timings
 from jobs.observers import Ending, Observer
 from jobs.progress import ArmProgress, JobProgress
@@ -90,7 +90,7 @@ class _Bars:
     def show(self, arms: Callable[[], Mapping[str, ArmProgress]]) -> None:
         for name, arm in arms().items():
             if name in self._tasks and (arm.steps or arm.runs_done):
-                note = f"{arm.runs_done}/{arm.runs_planned} runs, {arm.steps / 1e6:,.1f} M steps"
+                note = f"{arm.runs_done}/{arm.runs_planned} runs, {short_count(arm.steps)} steps"
                 self._progress.update(self._tasks[name], completed=arm.episodes, note=note)
 
     def end(self) -> None:
@@ -138,9 +138,9 @@ def progress_line(arms: Mapping[str, ArmProgress], seconds: float) -> str:
         share = f" ({arm.episodes / arm.episodes_planned:.0%})".replace("%", " %") if arm.episodes_planned else ""
         failed = f", {arm.runs_failed} failed" if arm.runs_failed else ""
         parts.append(f"{name} {arm.runs_done}/{arm.runs_planned}{share}{failed}")
-    steps = sum(arm.steps for arm in arms.values()) / max(seconds, 1e-9) / 1e6
+    steps = sum(arm.steps for arm in arms.values()) / max(seconds, 1e-9)
     hours, rest = divmod(int(seconds), 3600)
-    return f"[{hours}:{rest // 60:02d}:{rest % 60:02d}] {' · '.join(parts)} · {steps:,.1f} M steps/s"
+    return f"[{hours}:{rest // 60:02d}:{rest % 60:02d}] {' · '.join(parts)} · {short_count(steps)} steps/s"
 
 
 def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:

@@ -22,21 +22,20 @@ from jobs.analysis.figures import draw_figures, draw_gallery
 from jobs.analysis.report import write_report
 from jobs.analysis.reproduction_page import reproduction_page
 from jobs.ledger import write_ledger
-from jobs.spec_files import groups_of, shipped_experiments, shipped_galleries
+from jobs.spec_files import Group, shipped_experiments, shipped_galleries
 from jobs.store import ResultStore
 
 
-def write_reproduction(folder: Folder, stores: Sequence[ResultStore]) -> list[Verdict]:
-    """Draw, evaluate and write everything of some finished experiments; returns the verdicts."""
+def write_reproduction(folder: Folder, stores: Sequence[ResultStore], group: Group) -> list[Verdict]:
+    """Draw, evaluate and write everything of a group's finished experiments; returns the verdicts."""
     for store in stores:
         draw_figures(store, store.experiment())
         write_report(store)
         _copy(store, folder)
-    groups = groups_of([store.experiment().name for store in stores])
-    galleries = shipped_galleries() if "tabular" in groups else {}
+    galleries = shipped_galleries() if group == "tabular" else {}
     for name, gallery in galleries.items():
         draw_gallery(gallery, folder.sub(f"figures/{name}"))
-    concerned = shipped_experiments(*groups)
+    concerned = shipped_experiments(group)
     verdicts = evaluate([claim for claim in shipped_claims() if claim.experiment in concerned], stores)
     write_ledger(folder, verdicts)
     folder.write("report.html", reproduction_page(folder, galleries.values(), stores, verdicts))

@@ -53,8 +53,17 @@ def _cells(row: Mapping[str, Any], columns: set[str], has_sweep: bool, timings: 
         cells.append(f"{row['episodes']:,}")
     if not has_sweep:
         seconds, steps = timings.get(row["arm"], (0.0, 0.0))
-        cells += [f"{seconds:,.1f} s", f"{steps / seconds / 1e6:,.1f} M"] if seconds else ["-", "-"]
+        cells += [f"{seconds:,.1f} s", short_count(steps / seconds)] if seconds else ["-", "-"]
     return cells
+
+
+def short_count(number: float) -> str:
+    """In millions, small numbers in thousands.
+
+    >>> short_count(12_345_678), short_count(2_600), short_count(0)
+    ('12.3 M', '2.6 k', '0.0 M')
+    """
+    return f"{number / 1e3:,.1f} k" if 0 < number < 1e5 else f"{number / 1e6:,.1f} M"
 
 
 def _time_cells(row: Mapping[str, Any], *, adapts: bool) -> list[str]:

@@ -1,4 +1,4 @@
-"""The whole of it against `apel.Ensemble`, for two runs of every arm of every shipped experiment.
+"""The whole of it against `apel.Ensemble`, for two runs of every arm of every shipped tabular experiment.
 
 A job in local placement must store the rows, value for value, that Algorithm 5 gives when it is run by hand from the
 same plan. Every arm is held against it at the first and the last value of each axis of the sweep, and at every reading
@@ -122,7 +122,7 @@ def stored(folder: Path) -> Rows:
     return rows
 
 
-@pytest.mark.parametrize("name", shipped_experiments())
+@pytest.mark.parametrize("name", shipped_experiments("tabular"))
 def test_job_gives_the_rows_of_algorithm_5(tmp_path: Path, name: str) -> None:
     """Episode, selected, return, length, probability, estimate and concentration are equal; so are the train times."""
     experiment = shortened(name)
