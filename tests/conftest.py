@@ -61,12 +61,13 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def ray_session() -> Iterator[None]:
-    """A real Ray with two CPUs, started once."""
+    """A real Ray with two CPUs, and a GPU by its count alone, started once."""
     import ray
 
     ray.init(
         address="local",
         num_cpus=2,
+        num_gpus=1,
         include_dashboard=False,
         object_store_memory=150 * 2**20,
         log_to_driver=False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -175,4 +176,19 @@ class Hungry(Walker):
             for _ in range(200):
                 eaten.append(np.ones(2**23))  # 64 MiB
                 time.sleep(0.03)
+        return super().act(observation)
+
+
+class SeesGpus(Walker):
+    """Refuses to act where it does not see as many GPUs as expected."""
+
+    def __init__(self, observation_space: Any, action_space: Any, seed: int, expected: int) -> None:
+        super().__init__(observation_space, action_space, seed)
+        self.expected = expected
+
+    def act(self, observation: Any) -> tuple[int, Any]:
+        visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name]
+        if len(visible) != self.expected:
+            message = f"found the GPUs {visible}, expected {self.expected}"
+            raise RuntimeError(message)
         return super().act(observation)
