@@ -1,4 +1,4 @@
-"""DQN as a researcher writes it in one file, in the manner of CleanRL: one run, modules, a vector of one environment."""
+"""DQN as a researcher writes it in one file, in the manner of CleanRL: one run, on a vector of one environment."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from typing import Any
 from jobs.manifest import versions
 from tests.soak.soak import Plan, Result, soak
 
-RUNS_PER_FAULT, EPISODES = 0.5, 600
+RUNS_PER_FAULT, EPISODES, ROUND_SECONDS = 0.5, 600, 0.01
 
 
 def record_of(plan: Plan, result: Result) -> dict[str, Any]:
@@ -30,6 +30,7 @@ def record_of(plan: Plan, result: Result) -> dict[str, Any]:
         "seed": plan.seed,
         "runs_per_arm": plan.runs,
         "episodes": plan.episodes,
+        "round_seconds": plan.round_seconds,
         **result.as_json(),
     }
 
@@ -62,12 +63,22 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--runs", type=int, help="of each arm; default: in proportion to the faults")
     parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument("--round-seconds", type=float, default=ROUND_SECONDS, help="the least that a round takes")
     parser.add_argument("--no-baseline", action="store_true", help="do not take the time of an undisturbed job")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "soak.json")
     parser.add_argument("--logs", type=Path, help="a folder for what the drivers write")
     arguments = parser.parse_args()
+    if arguments.episodes <= arguments.faults:
+        parser.error(f"--episodes: found {arguments.episodes}, expected more than the {arguments.faults} faults")
     runs = arguments.runs or max(6, round(RUNS_PER_FAULT * arguments.faults))
-    plan = Plan(arguments.faults, arguments.seed, runs, arguments.episodes, baseline=not arguments.no_baseline)
+    plan = Plan(
+        arguments.faults,
+        arguments.seed,
+        runs,
+        arguments.episodes,
+        arguments.round_seconds,
+        baseline=not arguments.no_baseline,
+    )
     result = soak(plan, lambda line: print(line, flush=True), arguments.logs)
     show(result)
     arguments.output.parent.mkdir(exist_ok=True)

@@ -3,8 +3,8 @@
 DQN on CartPole with one update of 32 transitions per step, for 1, 8, 32 and 100 runs. The runs of this project are
 split over as many processes as there are cores, each a stack of its share; stable-baselines3's DQN and code in one file
 in the manner of CleanRL play one run per process and core, so that their sum does not depend on the number of runs from
-two on. Each is measured from after the first updates on, all in one go and several times, and told as medians and ratios.
-Written to benchmarks/results/.
+two on. Each is measured from after the first updates on, all in one go and several times, and told as medians and
+ratios. Written to benchmarks/results/.
 """
 
 from __future__ import annotations

@@ -5,16 +5,19 @@ A Ray cluster forgets its jobs, and what was sent with them, when its head resta
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jobs.remote.package import write_package
-from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
+
+_PACKAGE, _RECORD = "package", "job.json"
 
 
 @dataclass(frozen=True)
@@ -47,27 +50,50 @@ def records_folder() -> Path:
 
 def package_folder(job: str) -> Path:
     """What was sent with a job."""
-    return records_folder() / job / "package"
+    return records_folder() / job / _PACKAGE
 
 
-def new_record(record: Record, experiment: Experiment, modules: Sequence[Path]) -> Path:
-    """Remember a job and what is to be sent with it; returns the folder to be sent."""
-    folder = records_folder() / record.job
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, mode=0o700)
-    write_package(experiment, modules, package_folder(record.job))
-    _write(folder, record)
-    return package_folder(record.job)
+@dataclass(frozen=True)
+class Draft:
+    """A record of a job that the cluster has not accepted yet; see `drafted`."""
+
+    record: Record
+    folder: Path
+
+    @property
+    def package(self) -> Path:
+        """The folder to be sent."""
+        return self.folder / _PACKAGE
+
+    def keep(self) -> None:
+        """Remember the job from now on; what was remembered of another cluster's job of the same id makes way."""
+        kept = records_folder() / self.record.job
+        with _locked():
+            shutil.rmtree(kept, ignore_errors=True)
+            self.folder.rename(kept)
 
 
-def copied_record(record: Record, source: Record) -> Path:
-    """Remember a job that sends what another one sent; returns the folder to be sent."""
-    folder = records_folder() / record.job
-    if record.job != source.job:
-        shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(records_folder() / source.job, folder)
-    _write(folder, record)
-    return package_folder(record.job)
+@contextmanager
+def drafted(record: Record, pack: Callable[[Path], None]) -> Iterator[Draft]:
+    """A job that is about to be submitted, with what ``pack(folder)`` packs; forgotten at the end unless it was kept.
+
+    It lies in a folder of its own: of two processes that submit the same at once, under the same id, neither may touch
+    what the other one is sending, and the record is that of the one whose job it became.
+    """
+    records_folder().mkdir(parents=True, exist_ok=True)
+    draft = Draft(record, Path(tempfile.mkdtemp(prefix=f".{record.job}.", dir=records_folder())))
+    try:
+        pack(draft.package)
+        (draft.folder / _RECORD).write_text(json.dumps(asdict(record)), encoding="utf-8")
+        yield draft
+    finally:
+        shutil.rmtree(draft.folder, ignore_errors=True)
+
+
+def copy_package(job: str, target: Path) -> None:
+    """Copy what was sent with a job to ``target``, which must not exist."""
+    with _locked():
+        shutil.copytree(package_folder(job), target)
 
 
 def read_record(job: str) -> Record:
@@ -78,9 +104,10 @@ def read_record(job: str) -> Record:
     SpecError
         If it was not submitted from this machine.
     """
-    path = records_folder() / job / "job.json"
+    path = records_folder() / job / _RECORD
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        with _locked():
+            stored = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         message = (
             f"found no record of the job {job!r} on this machine ({path}), expected one that was submitted from here: "
@@ -90,5 +117,11 @@ def read_record(job: str) -> Record:
     return Record(**{**stored, "options": tuple(stored["options"])})
 
 
-def _write(folder: Path, record: Record) -> None:
-    (folder / "job.json").write_text(json.dumps(asdict(record)), encoding="utf-8")
+@contextmanager
+def _locked() -> Iterator[None]:
+    """No other process replaces a record, which takes two steps, while the body runs; so it finds each one whole."""
+    with (records_folder() / ".lock").open("w") as file:
+        # Some file systems know no locks. There the two steps are all that is left to chance.
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -23,8 +23,8 @@ from jobs.lease import BusyError
 from jobs.manifest import versions
 from jobs.remote import DEFAULT_ADDRESS
 from jobs.remote.connection import connected, read_log_file
-from jobs.remote.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials
-from jobs.remote.records import Record, copied_record, new_record, read_record
+from jobs.remote.package import EXPERIMENT_FILE, local_modules, named_modules, refuse_credentials, write_package
+from jobs.remote.records import Draft, Record, copy_package, drafted, read_record
 from jobs.spec import Experiment
 from jobs.status_file import status_file_name
 from jobs.yaml_source import SpecError
@@ -132,7 +132,7 @@ class Job:
         """
         record = read_record(self.id)
         record = replace(record, address=address or self.address)
-        return _submitted(record, lambda named: copied_record(named, record))
+        return _submitted(record, lambda package: copy_package(record.job, package))
 
     def fetch(self, destination: str | Path) -> Path:
         """Copy its results, whatever there is by now, below ``destination``; returns the experiment's folder there.
@@ -189,7 +189,7 @@ def submit(
         message = f"--module: found no module {sorted(missing)[0]!r} in {Path(folder).resolve()}"
         raise SpecError(message)
     record = Record("", address, experiment.name, experiment.identity, tuple(words))
-    return _submitted(record, lambda named: new_record(named, experiment, found))
+    return _submitted(record, lambda package: write_package(experiment, found, package))
 
 
 def list_jobs(address: str = DEFAULT_ADDRESS) -> list[Status]:
@@ -207,7 +207,7 @@ def _checked(results: str) -> str:
     return results
 
 
-def _submitted(record: Record, package: Callable[[Record], Path]) -> Job:
+def _submitted(record: Record, pack: Callable[[Path], None]) -> Job:
     """Submit under an id that Ray will not give twice, so that of two submissions at once one is second."""
     with connected(record.address) as client:
         while True:
@@ -216,22 +216,30 @@ def _submitted(record: Record, package: Callable[[Record], Path]) -> Job:
                 if _STATES[details.status] in ("pending", "running") and _same_place(details, record):
                     return _attached(details, record)
             named = replace(record, job=f"{record.experiment}-{record.identity}-{_next_number(same)}")
-            try:
-                client.submit_job(
-                    entrypoint=shlex.join(("apel", "run", EXPERIMENT_FILE, *record.options)),
-                    submission_id=named.job,
-                    runtime_env={
-                        "working_dir": str(package(named)),
-                        # Time for the checkpoints; Ray's own limit is three seconds.
-                        "env_vars": {"RAY_JOB_STOP_WAIT_TIME_S": str(_STOP_SECONDS)},
-                    },
-                    metadata=_metadata(named),
-                )
-            except RuntimeError as error:
-                if "already exists" in str(error):
-                    continue
-                raise
-            return Job(named.job, record.address)
+            with drafted(named, pack) as draft:
+                if _is_accepted(client, draft):
+                    draft.keep()
+                    return Job(named.job, record.address)
+
+
+def _is_accepted(client: JobSubmissionClient, draft: Draft) -> bool:
+    """Submit a job; False if somebody else's has got its id in the meantime."""
+    try:
+        client.submit_job(
+            entrypoint=shlex.join(("apel", "run", EXPERIMENT_FILE, *draft.record.options)),
+            submission_id=draft.record.job,
+            runtime_env={
+                "working_dir": str(draft.package),
+                # Time for the checkpoints; Ray's own limit is three seconds.
+                "env_vars": {"RAY_JOB_STOP_WAIT_TIME_S": str(_STOP_SECONDS)},
+            },
+            metadata=_metadata(draft.record),
+        )
+    except RuntimeError as error:
+        if "already exists" in str(error):
+            return False
+        raise
+    return True
 
 
 def _metadata(record: Record) -> dict[str, str]:

@@ -7,12 +7,17 @@ import os
 import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from cluster.events import ShardDone, ShardProgress
+from cluster.local import LocalHosts
+from tests.cluster.test_coordinator import Memory, play, shard_of
 from tests.soak.faults import all_injectors, deck
 from tests.soak.job import PROJECT
+from tests.soak.pace import Pace, PacedCoordinator, PacedExecution
 
 KINDS = ["coordinator killed", "driver killed", "learner killed", "node lost", "storage fault", "storage outage"]
 
@@ -27,6 +32,7 @@ def test_soak(tmp_path: Path) -> None:
     """
     output = tmp_path / "soak.json"
     options = ["--faults", "6", "--seed", "3", "--runs", "4", "--episodes", "100", "--no-baseline"]
+    options += ["--round-seconds", "0.03"]
     command = [sys.executable, "-m", "benchmarks.soak", *options, "--output", str(output)]
     # Ray's sockets lie in a folder for temporary files, and their paths may not be long.
     env = {**os.environ, "TMPDIR": "/tmp"}
@@ -47,3 +53,44 @@ def test_deck(num_faults: int) -> None:
     cards = deck(injectors, num_faults, random.Random(1))
     assert len(cards) == num_faults
     assert sorted({card.name for card in cards}) == KINDS
+
+
+def test_kept_episodes(small: Path, tmp_path: Path) -> None:
+    """A run keeps an episode for each fault to come, through rounds and checkpoints, and ends with the last one."""
+    shard = shard_of(small, "runs=2", "episodes=10", "stop_when_met=false", arm="SSBAS")
+    pace = Pace(0.0, "SSBAS", 1, str(tmp_path / "faults"))
+    memory, undisturbed = Memory(), Memory()
+    execution = PacedExecution(
+        streak_episodes=1, checkpoint_seconds=0.0, checkpoint_share=1.0, progress_seconds=0.0, pace=pace
+    )
+    pace.expect(3)
+    events = PacedCoordinator(LocalHosts(), memory, memory, execution).run(shard)
+
+    def reached() -> int:
+        progress = [next(events) for _ in range(40)][-1]
+        assert isinstance(progress, ShardProgress)
+        return progress.episodes
+
+    assert reached() == 10 + 7
+    before = memory.num_checkpoints
+    assert reached() == 10 + 7
+    assert memory.num_checkpoints > before
+    pace.expect(1)
+    assert reached() == 10 + 9
+    pace.expect(0)
+    assert isinstance(list(events)[-1], ShardDone)
+    play(shard, undisturbed)
+    assert memory.sorted_rows() == undisturbed.sorted_rows()
+
+
+def test_pace(small: Path, tmp_path: Path) -> None:
+    """A round takes no less than it must, however fast the machine."""
+    shard = shard_of(small, "runs=1", "episodes=10", "stop_when_met=false", arm="APEL")
+    pace = Pace(0.02, "SSBAS", 0, str(tmp_path / "faults"))
+    memory = Memory()
+    coordinator = PacedCoordinator(LocalHosts(), memory, memory, PacedExecution(streak_episodes=1, pace=pace))
+    began = time.monotonic()
+    *_, done = coordinator.run(shard)
+    assert isinstance(done, ShardDone)
+    assert done.rounds >= 10
+    assert time.monotonic() - began >= 9 * 0.02

@@ -1,5 +1,5 @@
-"""The command ``apel`` with rounds of one episode, which makes any job long enough to be hit, and an account of what
-happens: ``python -m tests.soak.command EVENTS run SPEC …``.
+"""The command ``apel`` with rounds of one episode, at a pace that makes any job long enough to be hit, and an account
+of what happens: ``python -m tests.soak.command EVENTS PACE run SPEC …``.
 """
 
 from __future__ import annotations
@@ -7,10 +7,11 @@ from __future__ import annotations
 import json
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TextIO
 
+import cluster.launch
 import jobs.cli
 from cluster.events import ShardDone, ShardEvent, ShardProgress, ShardRestarted
 from cluster.shard import Shard
@@ -18,6 +19,7 @@ from jobs.observers import Ending, Observer, Observers
 from jobs.progress import JobProgress
 from jobs.runner import Outcome, Settings, Stopping, run_experiment
 from jobs.spec import Experiment
+from tests.soak.pace import Pace, PacedCoordinator, PacedExecution
 
 
 class EventLog(Observer):
@@ -56,14 +58,17 @@ class EventLog(Observer):
 
 def main() -> None:
     """Run a command of ``apel``."""
-    with Path(sys.argv.pop(1)).open("w") as file:
+    events, pace = Path(sys.argv.pop(1)), Pace.of_word(sys.argv.pop(1))
+    with events.open("w") as file:
 
         def run(experiment: Experiment, settings: Settings, observer: Observer, stopping: Stopping) -> Outcome:
-            often = replace(settings.execution, streak_episodes=1, checkpoint_share=0.2, progress_seconds=0.1)
+            often = {"streak_episodes": 1, "checkpoint_share": 0.2, "progress_seconds": 0.1}
+            execution = PacedExecution(**{**asdict(settings.execution), **often}, pace=pace)
             observers = Observers([observer, EventLog(file)])
-            return run_experiment(experiment, replace(settings, execution=often), observers, stopping)
+            return run_experiment(experiment, replace(settings, execution=execution), observers, stopping)
 
         jobs.cli.run_experiment = run
+        cluster.launch.Coordinator = PacedCoordinator  # type: ignore[attr-defined]
         jobs.cli.main()
 
 

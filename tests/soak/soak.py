@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import random
 import shutil
@@ -25,6 +26,7 @@ from tests.s3_server import NAME, Bucket, bucket
 from tests.same_rows import assert_same
 from tests.soak.faults import FaultError, Injector, all_injectors, deck
 from tests.soak.job import PROJECT, Job
+from tests.soak.pace import Pace
 from tests.soak.storage_proxy import StorageProxy
 from tests.soak.three_nodes import ThreeNodes, three_nodes
 from tests.soak.timeline import Timeline
@@ -52,6 +54,8 @@ stop_when_met: false
 record: all
 """
 _NUM_ARMS = 3
+# With as many learners to be hit as any, and the last of those to begin.
+_HELD_ARM = "SSBAS"
 # A learner alone plays ten episodes a round.
 _WEIGHTS = {"Q_full": 0.1}
 _CREDENTIALS = {
@@ -62,6 +66,8 @@ _CREDENTIALS = {
 }
 # The last fault comes before the last shards are over.
 _LAST_POINT = 0.96
+# Less than an episode of any arm.
+_LEAST_WORK = 1e-6
 # Some faults do not wait until the job has come further, so that they hit it while it recovers from another one.
 _SHARE_OF_SEQUELS, _SEQUEL_SECONDS = 0.25, 4.0
 _STANDSTILL_SECONDS = 180.0
@@ -74,7 +80,9 @@ class Plan:
     Attributes
     ----------
     runs, shard_size, episodes:
-        Of each of three arms.
+        Of each of three arms; there must be more episodes than faults.
+    round_seconds:
+        A shard's round takes no less, so that on any machine the job goes on for long enough.
     baseline:
         Whether to play it undisturbed on the same cluster, for its wall time.
     """
@@ -83,6 +91,7 @@ class Plan:
     seed: int
     runs: int
     episodes: int
+    round_seconds: float
     shard_size: int = 2
     worker_cpus: tuple[int, ...] = (2, 1)
     baseline: bool = True
@@ -198,10 +207,11 @@ def _soak(
     tell: Callable[[str], None],
 ) -> Result:
     result = Result()
+    pace = Pace(plan.round_seconds, _HELD_ARM, plan.runs - 1, str(folder / "faults-to-come"))
 
     def new_job(name: str) -> Job:
         root = f"s3://{NAME}/{name}?endpoint_override=127.0.0.1:{proxy.port}&scheme=http"
-        words = ["run", str(folder / "soak.yaml"), "--address", nodes.address, "--results", root]
+        words = [pace.as_word(), "run", str(folder / "soak.yaml"), "--address", nodes.address, "--results", root]
         return Job(
             [*words, "--shard-size", str(plan.shard_size), "--checkpoint-seconds", "0.5"],
             folder / name,
@@ -215,9 +225,10 @@ def _soak(
             result.undisturbed_seconds = time.monotonic() - job.began
             result.pace = plan.work / (job.timeline.last() - job.timeline.first)
         tell(f"undisturbed: exit code {code} after {result.undisturbed_seconds:.1f} s")
+    pace.expect(plan.num_faults)
     with closing(new_job("disturbed")) as job:
         try:
-            _disturb(plan, job, nodes, all_injectors(nodes, job, proxy), result, tell)
+            _disturb(plan, pace, job, nodes, all_injectors(nodes, job, proxy), result, tell)
             _finish(job, result)
         except TimeoutError as error:
             result.problems.append(str(error))
@@ -233,6 +244,7 @@ def _soak(
 
 def _disturb(
     plan: Plan,
+    pace: Pace,
     job: Job,
     nodes: ThreeNodes,
     injectors: list[tuple[Injector, int]],
@@ -243,27 +255,46 @@ def _disturb(
     for number, injector in enumerate(deck(injectors, plan.num_faults, moment)):
         point = (number + moment.random()) / plan.num_faults * _LAST_POINT * plan.work
         if number and moment.random() < _SHARE_OF_SEQUELS:
-            _go_on(job, result, time.monotonic() + moment.uniform(0.0, _SEQUEL_SECONDS), plan.work)
+            _go_on(job, result, time.monotonic() + moment.uniform(0.0, _SEQUEL_SECONDS), math.inf)
         else:
-            _go_on(job, result, None, point)
-        while True:
-            if died := nodes.died_unasked():
-                result.problems.append(f"{died} nodes died by themselves")
-            began = time.monotonic()
-            try:
-                hit = injector.inject(moment)
-            except FaultError as error:
-                hit = "the job took it amiss"
-                result.problems.append(str(error))
-            if hit or job.poll() == 0:
-                break
-            _go_on(job, result, time.monotonic() + 0.1, plan.work)
-        if not hit:
+            # Past its point, where faults took longer than the job to come there, it has at least recovered.
+            _go_on(job, result, None, max(point, job.timeline.work() + _LEAST_WORK))
+        fault = _hit(injector, moment, job, nodes, result)
+        if fault is None:
             result.problems.append(f"the job was over after {number} of {plan.num_faults} faults")
             return
-        result.faults.append(Fault(injector.name, began - job.began, time.monotonic() - job.began, hit))
+        result.faults.append(fault)
+        pace.expect(plan.num_faults - number - 1)
         done = 100 * job.timeline.work() / plan.work
-        tell(f"{began - job.began:7.1f} s  {done:4.1f} %  {number + 1:3d}  {injector.name:18s}  {hit}")
+        tell(f"{fault.began:7.1f} s  {done:4.1f} %  {number + 1:3d}  {injector.name:18s}  {fault.hit}")
+
+
+def _hit(injector: Injector, moment: random.Random, job: Job, nodes: ThreeNodes, result: Result) -> Fault | None:
+    """Inject a fault as soon as there is something to be hit; None if the job is over before.
+
+    Raises
+    ------
+    TimeoutError
+        If there is nothing for too long.
+    """
+    deadline = time.monotonic() + _STANDSTILL_SECONDS
+    while time.monotonic() < deadline:
+        if died := nodes.died_unasked():
+            result.problems.append(f"{died} nodes died by themselves")
+        began = time.monotonic()
+        try:
+            hit = injector.inject(moment)
+        except FaultError as error:
+            hit = "the job took it amiss"
+            result.problems.append(str(error))
+        code = job.poll()
+        if hit:
+            return Fault(injector.name, began - job.began, time.monotonic() - job.began, hit)
+        if code == 0:
+            return None
+        _go_on(job, result, time.monotonic() + 0.1, math.inf)
+    message = f"{injector.name}: found nothing to hit for {_STANDSTILL_SECONDS:.0f} s"
+    raise TimeoutError(message)
 
 
 def _go_on(job: Job, result: Result, until: float | None, point: float) -> None:

@@ -23,6 +23,7 @@ _HEALTH = {
 }
 _NODE = {"object_store_memory": 80 * 2**20}
 _LEARNER, _COORDINATOR = re.compile(r"ray::LearnerHost\b"), re.compile(r"ray::(.+ · runs \d+-\d+)")
+_IDLE_COORDINATOR = re.compile(r"ray::PacedCoordinator\b")
 
 
 @contextmanager
@@ -109,7 +110,7 @@ class ThreeNodes:
         found += [
             f"group {group['name']}: {group['state']}" for group in groups.values() if group["state"] != "REMOVED"
         ]
-        titles = {**self.learners(), **self.coordinators(), **self._titled(re.compile(r"ray::Coordinator\b"))}
+        titles = {**self.learners(), **self.coordinators(), **self._titled(_IDLE_COORDINATOR)}
         found += [f"process {process.pid}: {title}" for process, title in titles.items()]
         found += [f"process {process.pid} of a lost node" for process in self._orphans if _is_alive(process)]
         return found
