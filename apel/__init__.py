@@ -9,6 +9,7 @@
 100
 """
 
+from apel import rounding as rounding  # first of all: it is about what others load
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.ensemble import Ensemble, EpisodeRecord
 from apel.environments import World, make_world

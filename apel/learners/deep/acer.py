@@ -19,7 +19,7 @@ from apel.learners.deep.devices import LANES, DeviceName, open_device
 from apel.learners.deep.draws import acting_streams, draw_categorical, sampling_streams, softmax
 from apel.learners.deep.encoding import Encoder, Encoding
 from apel.learners.deep.networks import OPTIONS_CONFIG, ActorCritic, NetworkOptions, Width
-from apel.learners.deep.parameters import RowAdam, Rows, clip_each_row, initial_rows
+from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, clip_each_row, initial_rows
 from apel.learners.deep.retrace import (
     entropy_gradient,
     policy_gradient,
@@ -239,7 +239,7 @@ class StackedAcer:
         self._rows = Rows(len(seeds), device, self.options.lanes)
         self._online = initial_rows(self._network.layout, seeds, device)
         self._average = self._online.clone() if self.options.trust_region else None
-        self._frozen: Tensor | None = None
+        self._frozen = FrozenRows(self._rows, len(seeds))
         self._adam = RowAdam(self._online, self.options.learning_rate, self.options.adam_epsilon)
         self._memory = SegmentMemory(
             len(seeds),
@@ -265,7 +265,7 @@ class StackedAcer:
     def learn(self, runs: Runs, transitions: Transitions) -> None:
         """Remember one step; update where it closed a segment."""
         closed = self._memory.add(runs, transitions)
-        due = closed[self._memory.size[closed] > self.options.learning_starts]
+        due = closed[self._memory.num_closed[closed] > self.options.learning_starts]
         for one_call in self._rows.calls(due):
             self._update(one_call, self._memory.newest(one_call))
             for _ in range(self.options.replay_ratio):
@@ -276,16 +276,14 @@ class StackedAcer:
 
     def freeze(self, runs: Runs) -> None:
         """Act on today's network until the next call."""
-        if self._frozen is None:
-            self._frozen = self._online.clone()
-        self._rows.copy(self._frozen, self._online, runs)
+        self._frozen.freeze(self._online, runs)
 
     def state(self) -> State:
         """Networks, optimiser, memory and streams."""
         return {
             "online": self._rows.array(self._online),
             "average": self._rows.array(self._average),
-            "frozen": self._rows.array(self._frozen),
+            "frozen": self._frozen.state(),
             "adam": self._adam.state(),
             "memory": self._memory.state(),
             "streams": [self._acting.copy(), self._sampling.copy()],
@@ -295,14 +293,13 @@ class StackedAcer:
         """Go back to what `state` returned."""
         self._rows.restore(self._online, state["online"])
         self._average = self._rows.matrix(state["average"])
-        self._frozen = self._rows.matrix(state["frozen"])
+        self._frozen.restore(state["frozen"])
         self._adam.restore(state["adam"])
         self._memory.restore(state["memory"])
         self._acting, self._sampling = (np.array(stream) for stream in state["streams"])
 
     def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
-        acting = self._online if self._frozen is None else self._frozen
-        return self._network(self._rows.of(acting, runs), inputs)[0]
+        return self._network(self._frozen.of(self._online, runs), inputs)[0]
 
     def _update(self, runs: Runs, segments: Segments) -> None:
         online = self._rows.of(self._online, runs).detach().requires_grad_()

@@ -19,7 +19,7 @@ from apel.learners.deep.devices import LANES, DeviceName, open_device
 from apel.learners.deep.draws import acting_streams, draw_epsilon_greedy, sampling_streams
 from apel.learners.deep.encoding import Encoder, Encoding
 from apel.learners.deep.networks import OPTIONS_CONFIG, NetworkOptions, QNetwork, Width
-from apel.learners.deep.parameters import RowAdam, Rows, clip_each_variable, initial_rows
+from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, clip_each_variable, initial_rows
 from apel.learners.deep.prioritised import Priorities, PriorityOptions
 from apel.learners.deep.replay import Minibatch, Replay
 from apel.learners.single import SingleLearner
@@ -155,7 +155,7 @@ class StackedDqn:
         self._rows = Rows(len(seeds), device, self.options.lanes)
         self._online = initial_rows(self._network.layout, seeds, device)
         self._target = self._online.clone()
-        self._frozen: Tensor | None = None
+        self._frozen = FrozenRows(self._rows, len(seeds))
         self._adam = RowAdam(self._online, self.options.learning_rate, self.options.adam_epsilon)
         self._replay = Replay(
             len(seeds), self.options.replay_size, self._encoder.observation_shape, self._encoder.storage_type
@@ -198,16 +198,14 @@ class StackedDqn:
 
     def freeze(self, runs: Runs) -> None:
         """Act on today's network until the next call."""
-        if self._frozen is None:
-            self._frozen = self._online.clone()
-        self._rows.copy(self._frozen, self._online, runs)
+        self._frozen.freeze(self._online, runs)
 
     def state(self) -> State:
         """Networks, optimiser, memory, streams and clocks."""
         return {
             "online": self._rows.array(self._online),
             "target": self._rows.array(self._target),
-            "frozen": self._rows.array(self._frozen),
+            "frozen": self._frozen.state(),
             "adam": self._adam.state(),
             "replay": self._replay.state(),
             "priorities": self._priorities.state() if self._priorities else None,
@@ -219,7 +217,7 @@ class StackedDqn:
         """Go back to what `state` returned."""
         self._rows.restore(self._online, state["online"])
         self._rows.restore(self._target, state["target"])
-        self._frozen = self._rows.matrix(state["frozen"])
+        self._frozen.restore(state["frozen"])
         self._adam.restore(state["adam"])
         self._replay.restore(state["replay"])
         if self._priorities:
@@ -231,8 +229,7 @@ class StackedDqn:
         return self._rows.forward(self._evaluate, runs, self._encoder(observation))
 
     def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
-        acting = self._online if self._frozen is None else self._frozen
-        return self._network(self._rows.of(acting, runs), inputs)
+        return self._network(self._frozen.of(self._online, runs), inputs)
 
     def _update(self, runs: Runs) -> None:
         slots, weights = self._draw(runs)
@@ -252,7 +249,8 @@ class StackedDqn:
         size = self.options.batch_size
         if not self._priorities:
             return self._replay.draw(runs, size, self._sampling), np.ones((len(runs), size), dtype=np.float32)
-        correction = self._priorities.correction(self._steps[runs] / self.options.total_steps)
+        progress = (self._steps[runs] - 1) / self.options.total_steps  # of the step that is learned from
+        correction = self._priorities.correction(progress)
         return self._priorities.draw(runs, self._replay.size, size, correction, self._sampling)
 
     def _tensors(self, batch: Minibatch, weights: NDArray[np.float32]) -> Batch:

@@ -38,35 +38,41 @@ class Encoder:
             message = f"found the observation space {space}, expected a Box, Discrete, MultiDiscrete or MultiBinary one"
             raise ValueError(message)
         self.observation_shape = tuple(space.shape or ())
-        self._sizes: list[int] = []
-        self._start = 0
-        if isinstance(space, spaces.Discrete):
-            self._sizes, self._start = [int(space.n)], int(space.start)
-        elif isinstance(space, spaces.MultiDiscrete) and encoding == "one_hot":
-            self._sizes = [int(size) for size in space.nvec]
-        self.shape = (sum(self._sizes),) if self._sizes else self.observation_shape
         self.storage_type = _storage_type(space)
-        self._scale = np.float32(1 / 255 if self.storage_type == np.uint8 and len(self.shape) == 3 else 1)
+        self._sizes, self._starts = _one_hot_sizes(space, encoding)
+        self.shape = (int(self._sizes.sum()),) if len(self._sizes) else self.observation_shape
+        is_image = isinstance(space, spaces.Box) and len(self.shape) == 3 and space.dtype == np.uint8
+        self._scale = np.float32(1 / 255 if is_image else 1)
 
     def __call__(self, observation: NDArray[Any]) -> NDArray[np.float32]:
         """``float32[…, *shape]`` of observations ``[…, *observation_shape]``."""
-        if not self._sizes:
+        if not len(self._sizes):
             values = observation.astype(np.float32)
             return values if self._scale == 1 else values * self._scale
-        values = (observation - self._start).reshape(-1, len(self._sizes))
         leading = observation.shape[: observation.ndim - len(self.observation_shape)]
+        # What a memory never wrote is zero, and maybe no observation; whatever it gives is ignored.
+        codes = observation.reshape(-1, len(self._sizes)).astype(np.int64) - self._starts
+        offsets = np.cumsum(self._sizes) - self._sizes
         one_hot = np.zeros((math.prod(leading), *self.shape), dtype=np.float32)
-        offsets = np.cumsum([0, *self._sizes[:-1]])
-        np.put_along_axis(one_hot, values.astype(np.int64) + offsets, 1.0, axis=1)
+        np.put_along_axis(one_hot, np.clip(codes, 0, self._sizes - 1) + offsets, 1.0, axis=1)
         return one_hot.reshape(*leading, *self.shape)
+
+
+def _one_hot_sizes(space: spaces.Space[Any], encoding: Encoding) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number of values, and the first value, of each variable that becomes a one-hot vector; none where none does."""
+    match space:
+        case spaces.Discrete():
+            return np.array([space.n], dtype=np.int64), np.array([space.start], dtype=np.int64)
+        case spaces.MultiDiscrete() if encoding == "one_hot":
+            return space.nvec.ravel().astype(np.int64), space.start.ravel().astype(np.int64)
+    return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 def _storage_type(space: spaces.Space[Any]) -> np.dtype[Any]:
     match space:
-        case spaces.Discrete():
-            return np.min_scalar_type(int(space.start + space.n - 1)) if space.start >= 0 else np.dtype(np.int64)
-        case spaces.MultiDiscrete():
-            return np.min_scalar_type(int((space.start + space.nvec - 1).max()))
+        case spaces.Discrete() | spaces.MultiDiscrete():
+            count = space.n if isinstance(space, spaces.Discrete) else space.nvec
+            return np.result_type(*map(np.min_scalar_type, (np.min(space.start), np.max(space.start + count - 1))))
         case spaces.Box() if space.dtype in (np.dtype(np.uint8), np.dtype(np.bool_)):
             return np.dtype(space.dtype)
         case spaces.MultiBinary():

@@ -71,8 +71,8 @@ class Linear:
         """See `Layer`."""
         weight, bias = next(weights), next(weights)
         if weight.shape[-1] == 1:
-            # As a product with a vector: a batched matrix product with one column rounds differently from one number
-            # of runs to another, and a run's result must not depend on its neighbours.
+            # A batched matrix product with one column rounds differently from one number of runs to another, and a
+            # run's result must not depend on its neighbours.
             return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias.unsqueeze(1)
         return torch.baddbmm(bias.unsqueeze(1), x, weight)
 

@@ -17,7 +17,9 @@ from apel.learners.deep.networks import Layout
 
 def initial_rows(layout: Layout, seeds: Sequence[int], device: torch.device) -> Tensor:
     """``float32[R, P]``: fresh parameters of each run, from its 64-bit seed alone."""
-    rows = [layout.initial_row(torch.Generator().manual_seed(seed)) for seed in seeds]
+    # PyTorch's generator heeds 32 bits of its seed; these depend on all 64.
+    words = [int(np.random.SeedSequence(seed).generate_state(1)[0]) for seed in seeds]
+    rows = [layout.initial_row(torch.Generator().manual_seed(word)) for word in words]
     return torch.stack(rows).to(device)
 
 
@@ -87,6 +89,39 @@ class Rows:
     def restore(self, matrix: Tensor, array: NDArray[np.float32]) -> None:
         """Write what `array` stored into a matrix that others hold views of."""
         matrix.copy_(torch.from_numpy(np.array(array)))
+
+
+class FrozenRows:
+    """The rows that runs act on: their own, or what those were when the run was frozen last."""
+
+    def __init__(self, rows: Rows, num_runs: int) -> None:
+        self._rows = rows
+        self._matrix: Tensor | None = None
+        self._is_frozen = np.zeros(num_runs, dtype=np.bool_)
+
+    def freeze(self, online: Tensor, runs: Runs) -> None:
+        """Keep the chosen rows of ``online`` ``[R, P]`` as they are now."""
+        if self._matrix is None:
+            self._matrix = torch.zeros_like(online)
+        self._rows.copy(self._matrix, online, runs)
+        self._is_frozen[runs] = True
+
+    def of(self, online: Tensor, runs: Runs) -> Tensor:
+        """``[A or lanes, P]``: what the chosen runs act on."""
+        own = self._rows.of(online, runs)
+        if self._matrix is None:
+            return own
+        is_frozen = self._rows.tensor(self._is_frozen[runs]).unsqueeze(1)
+        return torch.where(is_frozen, self._rows.of(self._matrix, runs), own)
+
+    def state(self) -> State:
+        """The rows that are frozen."""
+        return {"matrix": self._rows.array(self._matrix), "is_frozen": self._is_frozen.copy()}
+
+    def restore(self, state: State) -> None:
+        """Go back to what `state` returned."""
+        self._matrix = self._rows.matrix(state["matrix"])
+        self._is_frozen = np.array(state["is_frozen"])
 
 
 def clip_each_variable(gradients: Tensor, layout: Layout, max_norm: float) -> Tensor:

@@ -20,7 +20,7 @@ from apel.learners.deep.devices import LANES, DeviceName, open_device
 from apel.learners.deep.draws import acting_streams, draw_categorical, sampling_streams, softmax
 from apel.learners.deep.encoding import Encoder, Encoding
 from apel.learners.deep.networks import OPTIONS_CONFIG, NetworkOptions, QNetwork, TwinQ, Width
-from apel.learners.deep.parameters import RowAdam, Rows, initial_rows
+from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, initial_rows
 from apel.learners.deep.replay import Minibatch, Replay
 from apel.learners.single import SingleLearner
 from apel.learners.stacked import Transitions
@@ -111,7 +111,7 @@ class StackedSac:
         self._critics = initial_rows(self._critic_network.layout, [seed ^ _CRITIC_SEED for seed in seeds], device)
         self._target = self._critics.clone()
         self._log_temperature = torch.full((num_runs, 1), math.log(self.options.initial_temperature), device=device)
-        self._frozen: Tensor | None = None
+        self._frozen = FrozenRows(self._rows, len(seeds))
         learned = (self._policy, self._critics, self._log_temperature)
         self._adams = [RowAdam(rows, self.options.learning_rate, self.options.adam_epsilon) for rows in learned]
         self._replay = Replay(
@@ -147,16 +147,14 @@ class StackedSac:
 
     def freeze(self, runs: Runs) -> None:
         """Act on today's policy until the next call."""
-        if self._frozen is None:
-            self._frozen = self._policy.clone()
-        self._rows.copy(self._frozen, self._policy, runs)
+        self._frozen.freeze(self._policy, runs)
 
     def state(self) -> State:
         """Networks, optimisers, memory, streams and clocks."""
         matrices = (self._policy, self._critics, self._target, self._log_temperature)
         return {
             "matrices": [self._rows.array(matrix) for matrix in matrices],
-            "frozen": self._rows.array(self._frozen),
+            "frozen": self._frozen.state(),
             "adams": [adam.state() for adam in self._adams],
             "replay": self._replay.state(),
             "streams": [self._acting.copy(), self._sampling.copy()],
@@ -168,7 +166,7 @@ class StackedSac:
         matrices = (self._policy, self._critics, self._target, self._log_temperature)
         for matrix, array in zip(matrices, state["matrices"], strict=True):
             self._rows.restore(matrix, array)
-        self._frozen = self._rows.matrix(state["frozen"])
+        self._frozen.restore(state["frozen"])
         for adam, stored in zip(self._adams, state["adams"], strict=True):
             adam.restore(stored)
         self._replay.restore(state["replay"])
@@ -176,8 +174,7 @@ class StackedSac:
         self._steps = np.array(state["steps"])
 
     def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
-        acting = self._policy if self._frozen is None else self._frozen
-        return self._policy_network(self._rows.of(acting, runs), inputs)
+        return self._policy_network(self._frozen.of(self._policy, runs), inputs)
 
     def _update(self, runs: Runs, batch: Minibatch) -> None:
         observation = self._rows.tensor(self._encoder(batch.observation))

@@ -35,6 +35,11 @@ class SegmentMemory:
 
     A segment is closed after ``length`` steps, or where its episode ends. The open one stands in the slot that comes
     next.
+
+    Attributes
+    ----------
+    num_closed:
+        ``int64[R]``: how many segments each run has closed so far.
     """
 
     def __init__(
@@ -47,7 +52,7 @@ class SegmentMemory:
         storage_type: np.dtype[Any],
     ) -> None:
         self._slots, self._length = capacity + 1, length
-        self._closed = np.zeros(num_runs, dtype=np.int64)
+        self.num_closed = np.zeros(num_runs, dtype=np.int64)
         rooms = (num_runs, self._slots, length)
         self._observation = np.zeros((num_runs, self._slots, length + 1, *shape), dtype=storage_type)
         self._action = np.zeros(rooms, dtype=np.int16)
@@ -59,11 +64,11 @@ class SegmentMemory:
     @property
     def size(self) -> NDArray[np.int64]:
         """``int64[R]``: how many closed segments each run remembers."""
-        return np.minimum(self._closed, self._slots - 1)
+        return np.minimum(self.num_closed, self._slots - 1)
 
     def add(self, runs: Runs, transitions: Transitions) -> Runs:
         """Append one step to the open segment of each run; the runs whose segment it closed."""
-        slots = self._closed[runs] % self._slots
+        slots = self.num_closed[runs] % self._slots
         step = self._steps[runs, slots]
         self._observation[runs, slots, step] = transitions.observation
         self._observation[runs, slots, step + 1] = transitions.next_observation
@@ -74,28 +79,28 @@ class SegmentMemory:
         self._steps[runs, slots] = step + 1
         is_closed = (step + 1 == self._length) | transitions.terminated | transitions.truncated
         closed = runs[is_closed]
-        self._closed[closed] += 1
-        self._steps[closed, self._closed[closed] % self._slots] = 0
+        self.num_closed[closed] += 1
+        self._steps[closed, self.num_closed[closed] % self._slots] = 0
         return closed
 
     def newest(self, runs: Runs) -> Segments:
         """The segment that each run closed last."""
-        return self._take(runs, (self._closed[runs] - 1)[:, None])
+        return self._take(runs, (self.num_closed[runs] - 1)[:, None])
 
     def draw(self, runs: Runs, batch_size: int, streams: Streams) -> Segments:
         """Segments drawn uniformly, with replacement, from the closed ones."""
         ages = np.empty((len(runs), batch_size), dtype=np.int64)
         draw_indices(self.size, runs, streams, ages)
-        return self._take(runs, self._closed[runs][:, None] - 1 - ages)
+        return self._take(runs, self.num_closed[runs][:, None] - 1 - ages)
 
     def state(self) -> State:
         """All that is filled, the open segments included."""
-        filled = min(int(self._closed.max(initial=0)) + 1, self._slots)
-        return {"closed": self._closed.copy(), "columns": [column[:, :filled].copy() for column in self._columns()]}
+        filled = min(int(self.num_closed.max(initial=0)) + 1, self._slots)
+        return {"closed": self.num_closed.copy(), "columns": [column[:, :filled].copy() for column in self._columns()]}
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
-        self._closed = np.array(state["closed"])
+        self.num_closed = np.array(state["closed"])
         for column, stored in zip(self._columns(), state["columns"], strict=True):
             column[:, : stored.shape[1]] = stored
 
