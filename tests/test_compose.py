@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+
+from apel.registry import SELECTORS
 
 ROOT = Path(__file__).parent.parent
 MONITORING = ROOT / "monitoring"
@@ -114,6 +117,27 @@ def test_base_image_is_the_pinned_ray() -> None:
     (pinned,) = re.findall(r"^ray(?:\[\w+\])?==([\d.]+)", (ROOT / "constraints.txt").read_text(), flags=re.MULTILINE)
     (base,) = re.findall(r"^FROM rayproject/ray:([\d.]+)-", (ROOT / "Dockerfile").read_text(), flags=re.MULTILINE)
     assert base == pinned
+
+
+def test_image_compiles_with_what_there_is() -> None:
+    """The names that the image's build asks this project for exist; its selectors are those that are shipped."""
+    (command,) = re.findall(r'^RUN python -c "(.*)"$', (ROOT / "Dockerfile").read_text(), flags=re.MULTILINE)
+    calls: list[object] = []
+    statements = [part.strip() for part in command.split(";")]
+    names: dict[str, object] = {}
+    exec("\n".join(statements[:-1]), names)  # the imports
+    exec(statements[-1], {**names, "compile_for": calls.append})
+    assert calls == [SELECTORS]
+
+
+def test_extras_of_the_image() -> None:
+    """They come from the environment, exist in pyproject.toml, and are none unless asked for."""
+    build = SERVICES["head"]["build"]
+    assert build["args"]["EXTRAS"] == "${APEL_EXTRAS:-}"
+    dockerfile = (ROOT / "Dockerfile").read_text()
+    extras = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+    (named,) = re.findall(r"tabular learners: (.*), or several", dockerfile)
+    assert set(named.split(", ")) <= extras
 
 
 def test_token_is_a_secret_without_default() -> None:
