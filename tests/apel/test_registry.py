@@ -36,9 +36,9 @@ def test_import_path_stands_for_its_object() -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("q_lerning", "found the learner 'q_lerning', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
-        ("", "found the learner '', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
-        ("math.tau", "found the learner 'math.tau', expected one of ['dyna_q', 'q_learning', 'voting'] or"),
+        ("q_lerning", "found the learner 'q_lerning', expected one of ['acer', 'dqn', 'dyna_q', 'q_learning',"),
+        ("", "found the learner '', expected one of ['acer', 'dqn', 'dyna_q', 'q_learning',"),
+        ("math.tau", "found the learner 'math.tau', expected one of ['acer', 'dqn', 'dyna_q', 'q_learning',"),
         ("math:tao", "found the import path 'math:tao', but module 'math' has no 'tao'"),
         ("math:", "found the import path 'math:', but module 'math' has no ''"),
         (

@@ -37,9 +37,9 @@ class Tick(NamedTuple):
 
 
 def life(num_runs: int, ticks: int, seed: int = 2, freezes: Sequence[int] = ()) -> list[Tick]:
-    """Random subsets of runs act and learn; episodes last some six steps; a third of the behaviours is not known.
+    """Random subsets of runs act and learn, and freeze at the ticks ``freezes``.
 
-    At the first of ``freezes`` all runs freeze, at the others random ones.
+    Episodes last some six steps; a third of the behaviours is not known.
     """
     rng = np.random.default_rng(seed)
     everyone = np.arange(num_runs)
@@ -53,7 +53,7 @@ def life(num_runs: int, ticks: int, seed: int = 2, freezes: Sequence[int] = ()) 
         ends = rng.random((2, num_runs)) < 0.08
         probability = rng.dirichlet(np.ones(NUM_ACTIONS), num_runs)
         probability[rng.random(num_runs) < 1 / 3] = np.nan
-        freezing = (everyone if tick == freezes[0] else some(0.4)) if tick in freezes else everyone[:0]
+        freezing = some(0.5) if tick in freezes else everyone[:0]
         made.append(
             Tick(
                 acting=everyone if tick % 4 == 0 else some(0.5),
@@ -133,8 +133,10 @@ def assert_same_state(one: Any, other: Any, place: str = "state") -> None:
 def part_of_run(state: Any, run: int, like: Any) -> Any:
     """The rows of one run in the state of a stack, as the state ``like`` of a stack of one has them.
 
-    Memories are stored as far as the run that has most has filled them.
+    Memories are stored as far as the run that has most has filled them; a stack of one may have no frozen rows at all.
     """
+    if like is None:
+        return None
     match state:
         case dict():
             return {key: part_of_run(child, run, like[key]) for key, child in state.items()}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from apel.learners.deep.draws import sampling_streams
+from apel.learners.deep.draws import acting_streams, sampling_streams
 from apel.learners.deep.prioritised import Priorities, PriorityOptions
 from apel.learners.deep.replay import Replay
 from cluster.checkpoint import pack, unpack
@@ -99,6 +99,13 @@ def test_draws_are_those_of_the_runs_stream() -> None:
         plain = SplitMix64(*states[run])
         assert slots[row].tolist() == [plain.integer(run + 2) for _ in range(6)]
     assert (int(streams[1][0]), int(streams[1][1])) == states[1]
+
+
+def test_actions_and_minibatches_have_streams_of_their_own() -> None:
+    """What a run's learner does must not be correlated with what it draws from memory, nor with other runs."""
+    streams = [*acting_streams([1, 2]), *sampling_streams([1, 2])]
+    assert len({int(state) for state, _ in streams}) == 4
+    assert len({int(increment) for _, increment in streams}) == 4
 
 
 @pytest.mark.parametrize("before", [0, 3, 9])

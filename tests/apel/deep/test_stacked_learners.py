@@ -47,8 +47,15 @@ ACER = {
 SAC = {"learning_rate": 1e-2, "replay_size": 40, "batch_size": 8, "learning_starts": 20, "network": NETWORK}
 LEARNERS: dict[str, tuple[Callable[..., StackedLearner], dict[str, Any]]] = {
     "dqn": (StackedDqn, DQN),
-    "dqn prioritised": (StackedDqn, {**DQN, "prioritized": {}, "train_every": 2}),
-    "acer": (StackedAcer, {**ACER, "trust_region": {"bound": 0.1, "average": 0.9}}),
+    # Sizes that fill no vector register, in some of them.
+    "dqn prioritised": (
+        StackedDqn,
+        {**DQN, "prioritized": {}, "train_every": 2, "batch_size": 7, "head_hidden": [5], "network": {"hidden": [13]}},
+    ),
+    "acer": (
+        StackedAcer,
+        {**ACER, "trust_region": {"bound": 0.1, "average": 0.9}, "network": {"hidden": [33], "activation": "relu"}},
+    ),
     "acer minimalrl": (StackedAcer, {**ACER, "preset": "minimalrl"}),
     "sac": (StackedSac, SAC),
 }
@@ -269,7 +276,7 @@ def test_learns_the_right_action_from_others(task: str) -> None:
     learner = constructor(spaces.Discrete(CONTEXTS), NUM_ACTIONS, SEEDS, **{**given, **options})
     rng = np.random.default_rng(8)
     uniform = np.full((len(SEEDS), NUM_ACTIONS), 1 / NUM_ACTIONS if is_known else np.nan)
-    for _ in range(150):
+    for _ in range(200):
         context, action = rng.integers(CONTEXTS, size=len(SEEDS)), rng.integers(NUM_ACTIONS, size=len(SEEDS))
         reward = (action == context % NUM_ACTIONS).astype(np.float64)
         following = rng.integers(CONTEXTS, size=len(SEEDS))
