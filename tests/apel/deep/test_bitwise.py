@@ -80,7 +80,7 @@ def check(network: Network, shape: tuple[int, ...], batch_size: int, subset: set
 
 subsets = st.sets(st.integers(0, NUM_RUNS - 1), min_size=1)
 few = settings(
-    max_examples=8,
+    max_examples=6,
     phases=[Phase.explicit, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow],
     database=None,

@@ -84,7 +84,7 @@ def test_is_a_stacked_learner(kind: str) -> None:
 @each_learner
 def test_runs_do_not_touch_each_other(kind: str) -> None:
     """Five runs in one stack, named in random subsets, are five stacks of one: all they do, and all of their states."""
-    ticks = life(len(SEEDS), 120, freezes=(60, 80, 100))
+    ticks = life(len(SEEDS), 110, freezes=(60, 80, 100))
     together = make(kind)
     before = weights(together)
     done = drive(together, ticks)
@@ -101,7 +101,7 @@ def test_runs_do_not_touch_each_other(kind: str) -> None:
 @pytest.mark.parametrize("lanes", [2, 8])
 def test_filled_up_calls_give_the_same(kind: str, lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where all calls have so many lanes, as on a GPU, nothing else comes out: for more runs than these, and fewer."""
-    ticks = life(len(SEEDS), 70, freezes=(45, 60))
+    ticks = life(len(SEEDS), 60, freezes=(40, 52))
     plain, filled = make(kind), make(kind)
     monkeypatch.setattr(filled._rows, "_lanes", lanes)
     assert drive(filled, ticks) == drive(plain, ticks)
