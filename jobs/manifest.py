@@ -12,7 +12,9 @@ from typing import Any
 from apel.seeding import run_seeds
 from jobs.spec import Experiment
 
-_PACKAGES = ("apel", "gymnasium", "numba", "numpy", "pandas", "pyarrow", "ray", "scipy")
+_PACKAGES = (
+    "apel", "gymnasium", "numba", "numpy", "pandas", "pyarrow", "ray", "scipy", "stable-baselines3", "torch",
+)  # fmt: skip
 
 
 def new_manifest(experiment: Experiment) -> dict[str, Any]:
