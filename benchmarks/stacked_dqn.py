@@ -17,6 +17,7 @@ import multiprocessing
 import os
 import platform
 import pstats
+import re
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -135,7 +136,8 @@ def profile(network: str, runs: int, seconds: float) -> list[str]:
     profiler.disable()
     text = io.StringIO()
     pstats.Stats(profiler, stream=text).sort_stats("tottime").print_stats(14)
-    return [line for line in text.getvalue().splitlines() if line.strip()][4:]
+    lines = [re.sub(r"/\S*/(site-packages/|(?=(apel|benchmarks)/))", "", line) for line in text.getvalue().splitlines()]
+    return [line for line in lines if line.strip()][4:]
 
 
 def measure(seconds: float, repeats: int) -> dict[str, Any]:
