@@ -70,6 +70,11 @@ class FiniteModel:
         return int(np.prod(self.feature_sizes))
 
     @property
+    def state_type(self) -> type[np.uint16 | np.int32]:
+        """In which state numbers stand in trajectories: in as few bytes as hold them."""
+        return np.uint16 if self.num_states <= np.iinfo(np.uint16).max else np.int32
+
+    @property
     def num_distractor_values(self) -> int:
         """D, the joint number of values of all distractors (1 without any)."""
         return self.num_states // int(self.next_cell.shape[0])

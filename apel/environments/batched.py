@@ -16,10 +16,9 @@ from apel.batched import BatchedEnvironment, Runs, Stepped
 from apel.compiled import njit
 from apel.environments.cartpole import batched_cart_pole
 from apel.environments.factory import World
+from apel.environments.misuse import NO_EPISODE, check_under_way
 from apel.finite import FiniteModel, FiniteTables, draw_distractor, draw_outcome, draw_start, stack_models
 from apel.streams import Stream, start_stream
-
-_NO_EPISODE = -1
 
 _Outcome = tuple[NDArray[Any], float, bool, bool]
 """Entry, reward, terminated, truncated of one environment."""
@@ -57,11 +56,10 @@ class BatchedFinite:
         values = models[0].feature_values()
         # A single feature is a plain number of a Discrete space.
         self._values = values if values.shape[1] > 1 else values[:, 0]
-        # As in the trajectories of compiled learners.
-        self._entry_type = np.uint16 if models[0].num_states <= np.iinfo(np.uint16).max else np.int32
+        self._entry_type = models[0].state_type
         self._streams = np.zeros((len(models), 2), dtype=np.uint64)
         self._cells = np.zeros(len(models), dtype=np.int64)
-        self._steps = np.full(len(models), _NO_EPISODE, dtype=np.int64)
+        self._steps = np.full(len(models), NO_EPISODE, dtype=np.int64)
 
     def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
         """Start an episode of each run with its seed, 0 … 2⁶⁴ − 1."""
@@ -80,9 +78,7 @@ class BatchedFinite:
         ValueError
             If there is no such action.
         """
-        if (self._steps[runs] == _NO_EPISODE).any():
-            message = "step() was called for a run without an episode under way: call reset() first"
-            raise RuntimeError(message)
+        check_under_way(self._steps[runs])
         if ((actions < 0) | (actions >= self._num_actions)).any():
             message = f"found the actions {actions.tolist()}, expected numbers from 0 to {self._num_actions - 1}"
             raise ValueError(message)
@@ -148,7 +144,7 @@ def _step_runs(
         terminated[i] = world.terminal[model, cell, action, outcome]
         truncated[i] = not terminated[i] and steps[run] >= world.max_steps
         if terminated[i] or truncated[i]:
-            steps[run] = _NO_EPISODE
+            steps[run] = NO_EPISODE
 
 
 class EnvironmentList:

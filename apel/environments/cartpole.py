@@ -19,10 +19,9 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from apel.batched import Runs, Stepped
+from apel.environments.misuse import NO_EPISODE, check_step, check_under_way
 
 TimeLimit = Literal["terminal", "truncation"]
-
-_NO_EPISODE = -1
 
 
 class CartPole(CartPoleEnv):
@@ -77,7 +76,7 @@ class CartPole(CartPoleEnv):
             dtype=np.float32,
         )
         self.observation_space = spaces.Box(-high, high, dtype=np.float32)
-        self._steps: int | None = None
+        self._steps = NO_EPISODE
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -97,17 +96,12 @@ class CartPole(CartPoleEnv):
         ValueError
             If there is no such action.
         """
-        if not self.action_space.contains(action):
-            message = f"found the action {action!r}, expected one of {self.action_space}"
-            raise ValueError(message)
-        if self._steps is None:
-            message = "step() was called without an episode under way: call reset() first"
-            raise RuntimeError(message)
+        check_step(action, self.action_space, self._steps)
         observation, reward, failed, _, info = super().step(action)  # type: ignore[no-untyped-call]
         self._steps += 1
         at_limit = not failed and self._steps >= self.max_steps
         if failed or at_limit:
-            self._steps = None
+            self._steps = NO_EPISODE
         is_terminal = self.time_limit == "terminal"
         return observation, reward, failed or (at_limit and is_terminal), at_limit and not is_terminal, info
 
@@ -161,7 +155,7 @@ class BatchedCartPole:
         self._parameters = parameters
         # One row per variable, so that each is contiguous.
         self._state = np.zeros((4, num_runs))
-        self._steps = np.full(num_runs, _NO_EPISODE, dtype=np.int64)
+        self._steps = np.full(num_runs, NO_EPISODE, dtype=np.int64)
 
     def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
         """Start an episode of each run with its seed; entries are observations, ``float32[A, 4]``."""
@@ -183,12 +177,13 @@ class BatchedCartPole:
             If there is no such action.
         """
         steps = self._steps[runs]
-        _check_step(steps, actions)
+        check_under_way(steps)
+        _check_actions(actions)
         state = _integrate(self._parameters, self._state.take(runs, axis=1), actions)
         failed = _has_failed(self._parameters, state)
         steps += 1
         over = failed | (steps >= self._parameters.max_steps)
-        steps[over] = _NO_EPISODE
+        steps[over] = NO_EPISODE
         self._state[:, runs] = state
         self._steps[runs] = steps
         terminated = over if self._parameters.time_limit == "terminal" else failed
@@ -199,10 +194,7 @@ class BatchedCartPole:
         return entries
 
 
-def _check_step(steps: NDArray[np.int64], actions: NDArray[np.int64]) -> None:
-    if (steps == _NO_EPISODE).any():
-        message = "step() was called for a run without an episode under way: call reset() first"
-        raise RuntimeError(message)
+def _check_actions(actions: NDArray[np.int64]) -> None:
     if ((actions != 0) & (actions != 1)).any():
         message = f"found the actions {actions.tolist()}, expected 0 or 1 each"
         raise ValueError(message)

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from apel.environments.misuse import NO_EPISODE, check_step
 from apel.finite import FiniteModel
 from apel.streams import integer, stream_of_seed, uniform
 
@@ -51,7 +52,7 @@ class FiniteEnvironment(gymnasium.Env[Any, np.int64]):
         self._stream = stream_of_seed(0)
         self._values = model.feature_values()
         self._cell = 0
-        self._steps: int | None = None
+        self._steps = NO_EPISODE
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
@@ -76,12 +77,7 @@ class FiniteEnvironment(gymnasium.Env[Any, np.int64]):
         ValueError
             If there is no such action.
         """
-        if not self.action_space.contains(action):
-            message = f"found the action {action!r}, expected one of {self.action_space}"
-            raise ValueError(message)
-        if self._steps is None:
-            message = "step() was called without an episode under way: call reset() first"
-            raise RuntimeError(message)
+        check_step(action, self.action_space, self._steps)
         model = self.finite_model
         outcomes = model.cumulative[self._cell, action]
         outcome = 0
@@ -94,7 +90,7 @@ class FiniteEnvironment(gymnasium.Env[Any, np.int64]):
         truncated = not terminated and self._steps >= model.max_steps
         observation = self._observe()
         if terminated or truncated:
-            self._steps = None
+            self._steps = NO_EPISODE
         return observation, reward, terminated, truncated, {}
 
     def _observe(self) -> Any:

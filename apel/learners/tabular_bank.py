@@ -53,7 +53,7 @@ class TabularBank:
         self._performance = performance
         self._with_probability = with_probability
         self._tables = make_tables(models[0], learners, freezes=freezes)
-        self._observation_type = np.uint16 if models[0].num_states <= np.iinfo(np.uint16).max else np.int32
+        self._observation_type = models[0].state_type
 
     def play(
         self, runs: Sequence[int], book: Book, selector: Selector, me: int, limit: StreakLimit, *, record: bool
