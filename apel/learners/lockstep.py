@@ -53,7 +53,6 @@ class Cursor:
         entry = here + row  # every episode before has one more observation than steps
         is_last = self._taken + 1 == batch.episodes.length[row]
         terminated = is_last & batch.episodes.terminated[row]
-        unknown = np.full((len(row), self._num_actions), np.nan)
         return Step(
             entry=batch.observation[entry],
             next_entry=batch.observation[entry + 1],
@@ -61,8 +60,11 @@ class Cursor:
             reward=batch.reward_value[batch.reward_code[here]],
             terminated=terminated,
             truncated=is_last & ~terminated,
-            probability=unknown if batch.probability is None else batch.probability[here],
+            probability=self._unknown(len(row)) if batch.probability is None else batch.probability[here],
         )
+
+    def _unknown(self, count: int) -> NDArray[np.float64]:
+        return np.full((count, self._num_actions), np.nan)
 
     def advance(self) -> NDArray[np.bool_]:
         """Go to the next step of every run, and forget those that have none; which of the rest begin an episode."""

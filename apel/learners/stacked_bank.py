@@ -169,22 +169,21 @@ class _Round:
 
     def play(self, runs: Sequence[int]) -> Played:
         self._streak_episodes, self._streak_steps = dict.fromkeys(runs, 0), dict.fromkeys(runs, 0)
-        active, entry = self._begin(np.array(runs, dtype=np.int64))
+        active, seen = self._begin(np.array(runs, dtype=np.int64))
         while len(active):
-            active, entry = self._tick(active, entry)
+            active, seen = self._tick(active, seen)
         return played(self._rows, self._trajectories, self._failures)
 
     def _begin(self, runs: Runs) -> tuple[Runs, NDArray[Any]]:
-        """Start an episode of each of ``runs``: those that did start, and their first entries."""
+        """Start an episode of each of ``runs``: those that did start, and what their learners see."""
         stepped = self._bank.reset(runs, self._book.episode[runs])
         kept = self._without_errors(runs, stepped)
         for run, entry in zip(runs[kept].tolist(), stepped.entry[kept], strict=True):
             self._open[run] = _Episode([entry] if self._keeps_entries else [])
-        return runs[kept], stepped.entry[kept]
+        return runs[kept], self._bank.see(stepped.entry[kept])
 
-    def _tick(self, active: Runs, entry: NDArray[Any]) -> tuple[Runs, NDArray[Any]]:
-        """One step of every active run: those that go on, and where they stand."""
-        seen = self._bank.see(entry)
+    def _tick(self, active: Runs, seen: NDArray[Any]) -> tuple[Runs, NDArray[Any]]:
+        """One step of every active run: those that go on, and what their learners see then."""
         action, probability = self._bank.learner.act(active, seen)
         stepped = self._bank.environment.step(active, action)
         if stepped.errors:
@@ -192,7 +191,7 @@ class _Round:
             active, seen, action, probability = active[kept], seen[kept], action[kept], probability[kept]
             stepped = stepped.at(kept)
         if not len(active):
-            return active, stepped.entry
+            return active, seen
         following = self._bank.see(stepped.entry)
         transitions = Transitions(
             seen, action, stepped.reward, following, stepped.terminated, stepped.truncated, probability
@@ -201,19 +200,24 @@ class _Round:
         self._note(active, action + self._bank.first_action, stepped, probability)
         ended = stepped.terminated | stepped.truncated
         if not ended.any():
-            return active, stepped.entry
+            return active, following
         self._bank.learner.end_episode(active[ended])
-        return self._after_episodes(active, stepped, ended)
+        again = self._go_on(active[ended], stepped.terminated[ended])
+        return self._joined(active[~ended], following[~ended], again)
 
-    def _after_episodes(self, active: Runs, stepped: Stepped, ended: NDArray[np.bool_]) -> tuple[Runs, NDArray[Any]]:
-        finished = zip(active[ended].tolist(), stepped.terminated[ended].tolist(), strict=True)
-        again = np.array([run for run, terminated in finished if self._goes_on(run, terminated)], dtype=np.int64)
-        runs, entries = active[~ended], stepped.entry[~ended]
-        if len(again):
-            started, first = self._begin(again)
-            runs, entries = np.concatenate([runs, started]), np.concatenate([entries, first])
+    def _go_on(self, runs: Runs, terminated: NDArray[np.bool_]) -> Runs:
+        """Take in the finished episodes of ``runs``; those whose streak goes on."""
+        finished = zip(runs.tolist(), terminated.tolist(), strict=True)
+        return np.array([run for run, ended in finished if self._goes_on(run, ended)], dtype=np.int64)
+
+    def _joined(self, runs: Runs, seen: NDArray[Any], again: Runs) -> tuple[Runs, NDArray[Any]]:
+        """The runs in mid-episode and those that begin another one, in rising order."""
+        if not len(again):
+            return runs, seen
+        started, first = self._begin(again)
+        runs, seen = np.concatenate([runs, started]), np.concatenate([seen, first])
         order = np.argsort(runs)
-        return runs[order], entries[order]
+        return runs[order], seen[order]
 
     def _note(
         self, active: Runs, action: NDArray[np.int64], stepped: Stepped, probability: NDArray[np.float64]

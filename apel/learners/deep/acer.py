@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from apel.batched import Runs
 from apel.learners.base import State
 from apel.learners.deep.devices import LANES, DeviceName, open_device
-from apel.learners.deep.draws import acting_streams, draw_categorical, sampling_streams, softmax
+from apel.learners.deep.draws import LearnerStreams, draw_categorical, softmax
 from apel.learners.deep.encoding import Encoder, Encoding
-from apel.learners.deep.networks import OPTIONS_CONFIG, ActorCritic, NetworkOptions, Width
+from apel.learners.deep.networks import ActorCritic, NetworkOptions
+from apel.learners.deep.options import Count, NonNegative, Positive, Share, Width
 from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, clip_each_row, initial_rows
 from apel.learners.deep.retrace import (
     entropy_gradient,
@@ -28,13 +28,9 @@ from apel.learners.deep.retrace import (
     retrace_targets,
 )
 from apel.learners.deep.segments import SegmentMemory, Segments
+from apel.learners.q_learning import OPTIONS_CONFIG
 from apel.learners.single import SingleLearner
 from apel.learners.stacked import Transitions
-
-_Positive = Annotated[float, Field(gt=0.0)]
-_Share = Annotated[float, Field(ge=0.0, le=1.0)]
-_NonNegative = Annotated[float, Field(ge=0.0)]
-_NonNegativeInt = Annotated[int, Field(ge=0, strict=True)]
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -49,8 +45,8 @@ class TrustRegion:
         θ_average ← average · θ_average + (1 − average) · θ after each update.
     """
 
-    bound: _Positive = 1.0
-    average: _Share = 0.99
+    bound: Positive = 1.0
+    average: Share = 0.99
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -94,21 +90,21 @@ class AcerOptions:
         As for DQN.
     """
 
-    learning_rate: _Positive = 2e-4
-    adam_epsilon: _Positive = 1e-8
-    discount: _Share = 0.98
+    learning_rate: Positive = 2e-4
+    adam_epsilon: Positive = 1e-8
+    discount: Share = 0.98
     rollout: Width = 20
-    truncation: _Positive = 10.0
+    truncation: Positive = 10.0
     trust_region: TrustRegion | None = TrustRegion()
-    entropy: _NonNegative = 0.001
-    critic: _Positive = 0.5
+    entropy: NonNegative = 0.001
+    critic: Positive = 0.5
     critic_loss: Literal["square", "huber"] = "square"
-    replay_ratio: _NonNegativeInt = 4
+    replay_ratio: Count = 4
     batch_size: Width = 4
     replay_size: Width = 2500
-    learning_starts: _NonNegativeInt = 50
-    reward_scale: _Positive = 1.0
-    max_gradient_norm: _Positive | None = 10.0
+    learning_starts: Count = 50
+    reward_scale: Positive = 1.0
+    max_gradient_norm: Positive | None = 10.0
     bootstrap: Literal["next_state", "last_state"] = "next_state"
     encoding: Encoding = "raw"
     network: NetworkOptions = NetworkOptions(hidden=(256,), activation="relu", initialisation="pytorch")
@@ -233,7 +229,6 @@ class StackedAcer:
     ) -> None:
         self.options = acer_options(**options)
         device = open_device(self.options.device)
-        self._num_actions = num_actions
         self._encoder = Encoder(observation_space, self.options.encoding)
         self._network = ActorCritic(self._encoder.shape, num_actions, self.options.network)
         self._rows = Rows(len(seeds), device, self.options.lanes)
@@ -249,14 +244,12 @@ class StackedAcer:
             self._encoder.observation_shape,
             self._encoder.storage_type,
         )
-        self._acting, self._sampling = acting_streams(list(seeds)), sampling_streams(list(seeds))
+        self._streams = LearnerStreams(seeds)
 
     def act(self, runs: Runs, observation: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """See `StackedLearner`: an action drawn from the policy."""
         probability = self.action_values(runs, observation)
-        actions = np.empty(len(runs), dtype=np.int64)
-        draw_categorical(probability, runs, self._acting, actions)
-        return actions, probability
+        return draw_categorical(probability, runs, self._streams.acting), probability
 
     def action_values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float64]:
         """π(·|s) of the policies that act."""
@@ -269,7 +262,7 @@ class StackedAcer:
         for one_call in self._rows.calls(due):
             self._update(one_call, self._memory.newest(one_call))
             for _ in range(self.options.replay_ratio):
-                self._update(one_call, self._memory.draw(one_call, self.options.batch_size, self._sampling))
+                self._update(one_call, self._memory.draw(one_call, self.options.batch_size, self._streams.sampling))
 
     def end_episode(self, runs: Runs) -> None:
         """Nothing: the last step has closed the segment."""
@@ -286,7 +279,7 @@ class StackedAcer:
             "frozen": self._frozen.state(),
             "adam": self._adam.state(),
             "memory": self._memory.state(),
-            "streams": [self._acting.copy(), self._sampling.copy()],
+            "streams": self._streams.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -296,14 +289,14 @@ class StackedAcer:
         self._frozen.restore(state["frozen"])
         self._adam.restore(state["adam"])
         self._memory.restore(state["memory"])
-        self._acting, self._sampling = (np.array(stream) for stream in state["streams"])
+        self._streams.restore(state["streams"])
 
     def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
         return self._network(self._frozen.of(self._online, runs), inputs)[0]
 
     def _update(self, runs: Runs, segments: Segments) -> None:
         online = self._rows.of(self._online, runs).detach().requires_grad_()
-        average = None if self._average is None else self._rows.of(self._average, runs)
+        average = self._rows.of(self._average, runs) if self._average is not None else None
         loss = acer_loss(self._network, online, average, self._tensors(segments), self.options)
         (gradients,) = torch.autograd.grad(loss.sum(), online)
         if self.options.max_gradient_norm is not None:

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from apel.batched import Runs
 from apel.learners.base import State
 from apel.learners.deep.devices import LANES, DeviceName, open_device
-from apel.learners.deep.draws import acting_streams, draw_epsilon_greedy, sampling_streams
+from apel.learners.deep.draws import LearnerStreams, draw_epsilon_greedy
 from apel.learners.deep.encoding import Encoder, Encoding
-from apel.learners.deep.networks import OPTIONS_CONFIG, NetworkOptions, QNetwork, Width
+from apel.learners.deep.networks import NetworkOptions, QNetwork
+from apel.learners.deep.options import Count, Positive, Share, Width
 from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, clip_each_variable, initial_rows
 from apel.learners.deep.prioritised import Priorities, PriorityOptions
 from apel.learners.deep.replay import Minibatch, Replay
+from apel.learners.q_learning import OPTIONS_CONFIG
 from apel.learners.single import SingleLearner
 from apel.learners.stacked import Transitions
-
-_Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-_Positive = Annotated[float, Field(gt=0.0)]
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -69,21 +67,21 @@ class DqnOptions:
         On other devices than the CPU, the number of runs in one call; there it may change the last bits of a result.
     """
 
-    learning_rate: _Positive = 5e-4
-    adam_epsilon: _Positive = 1e-8
-    discount: _Probability = 1.0
+    learning_rate: Positive = 5e-4
+    adam_epsilon: Positive = 1e-8
+    discount: Share = 1.0
     total_steps: Width = 100_000
-    exploration_fraction: _Probability = 0.1
-    final_exploration: _Probability = 0.02
+    exploration_fraction: Share = 0.1
+    final_exploration: Share = 0.02
     replay_size: Width = 50_000
     batch_size: Width = 32
-    learning_starts: Annotated[int, Field(ge=0, strict=True)] = 1000
+    learning_starts: Count = 1000
     train_every: Width = 1
     target_update_every: Width = 500
     double: bool = True
     dueling: bool = True
     head_hidden: tuple[Width, ...] = (256,)
-    max_gradient_norm: _Positive | None = 10.0
+    max_gradient_norm: Positive | None = 10.0
     prioritized: PriorityOptions | None = None
     encoding: Encoding = "raw"
     network: NetworkOptions = NetworkOptions()
@@ -143,7 +141,6 @@ class StackedDqn:
     ) -> None:
         self.options = DqnOptions(**options)
         device = open_device(self.options.device)
-        self._num_actions = num_actions
         self._encoder = Encoder(observation_space, self.options.encoding)
         self._network = QNetwork(
             self._encoder.shape,
@@ -162,17 +159,13 @@ class StackedDqn:
         )
         prioritized = self.options.prioritized
         self._priorities = Priorities(len(seeds), self.options.replay_size, prioritized) if prioritized else None
-        self._acting, self._sampling = acting_streams(list(seeds)), sampling_streams(list(seeds))
+        self._streams = LearnerStreams(seeds)
         self._steps = np.zeros(len(seeds), dtype=np.int64)
 
     def act(self, runs: Runs, observation: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """See `StackedLearner`: ε-greedy."""
-        actions = np.empty(len(runs), dtype=np.int64)
-        probability = np.empty((len(runs), self._num_actions))
-        values = self._values(runs, observation)
         exploration = self.options.exploration(self._steps[runs])
-        draw_epsilon_greedy(values, exploration, runs, self._acting, actions, probability)
-        return actions, probability
+        return draw_epsilon_greedy(self._values(runs, observation), exploration, runs, self._streams.acting)
 
     def action_values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float64]:
         """Q(s, ·) of the policies that act."""
@@ -209,7 +202,7 @@ class StackedDqn:
             "adam": self._adam.state(),
             "replay": self._replay.state(),
             "priorities": self._priorities.state() if self._priorities else None,
-            "streams": [self._acting.copy(), self._sampling.copy()],
+            "streams": self._streams.state(),
             "steps": self._steps.copy(),
         }
 
@@ -222,7 +215,7 @@ class StackedDqn:
         self._replay.restore(state["replay"])
         if self._priorities:
             self._priorities.restore(state["priorities"])
-        self._acting, self._sampling = (np.array(stream) for stream in state["streams"])
+        self._streams.restore(state["streams"])
         self._steps = np.array(state["steps"])
 
     def _values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float32]:
@@ -248,10 +241,10 @@ class StackedDqn:
     def _draw(self, runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         size = self.options.batch_size
         if not self._priorities:
-            return self._replay.draw(runs, size, self._sampling), np.ones((len(runs), size), dtype=np.float32)
+            return self._replay.draw(runs, size, self._streams.sampling), np.ones((len(runs), size), dtype=np.float32)
         progress = (self._steps[runs] - 1) / self.options.total_steps  # of the step that is learned from
         correction = self._priorities.correction(progress)
-        return self._priorities.draw(runs, self._replay.size, size, correction, self._sampling)
+        return self._priorities.draw(runs, self._replay.size, size, correction, self._streams.sampling)
 
     def _tensors(self, batch: Minibatch, weights: NDArray[np.float32]) -> Batch:
         return Batch(

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
-from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
@@ -29,9 +28,9 @@ from apel.learners.deep.layers import (
     orthogonal,
     zeros,
 )
+from apel.learners.deep.options import Width
+from apel.learners.q_learning import OPTIONS_CONFIG
 
-OPTIONS_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
-Width = Annotated[int, Field(ge=1, strict=True)]
 _ALIGNMENT = 16
 _ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu}
 

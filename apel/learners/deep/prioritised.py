@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from apel.batched import Runs
 from apel.compiled import njit
 from apel.learners.base import State
 from apel.learners.deep.draws import Streams
-from apel.learners.deep.networks import OPTIONS_CONFIG
+from apel.learners.deep.options import NonNegative, Positive, Share
+from apel.learners.q_learning import OPTIONS_CONFIG
 from apel.streams import uniform
 
 
@@ -31,9 +29,9 @@ class PriorityOptions:
         Added to each absolute TD error.
     """
 
-    exponent: Annotated[float, Field(ge=0.0)] = 0.6
-    correction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.4
-    epsilon: Annotated[float, Field(gt=0.0)] = 1e-6
+    exponent: NonNegative = 0.6
+    correction: Share = 0.4
+    epsilon: Positive = 1e-6
 
 
 class Priorities:

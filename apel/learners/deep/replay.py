@@ -60,9 +60,7 @@ class Replay:
 
     def draw(self, runs: Runs, batch_size: int, streams: Streams) -> NDArray[np.int64]:
         """Slots ``int64[A, B]``, uniformly with replacement."""
-        slots = np.empty((len(runs), batch_size), dtype=np.int64)
-        draw_indices(self.size, runs, streams, slots)
-        return slots
+        return draw_indices(self.size, runs, batch_size, streams)
 
     def take(self, runs: Runs, slots: NDArray[np.int64]) -> Minibatch:
         """The transitions in ``slots`` ``[A, B]``."""

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from apel.batched import Runs
 from apel.learners.base import State
 from apel.learners.deep.devices import LANES, DeviceName, open_device
-from apel.learners.deep.draws import acting_streams, draw_categorical, sampling_streams, softmax
+from apel.learners.deep.draws import LearnerStreams, draw_categorical, softmax
 from apel.learners.deep.encoding import Encoder, Encoding
-from apel.learners.deep.networks import OPTIONS_CONFIG, NetworkOptions, QNetwork, TwinQ, Width
+from apel.learners.deep.networks import NetworkOptions, QNetwork, TwinQ
+from apel.learners.deep.options import Count, Positive, Share, Width
 from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, initial_rows
 from apel.learners.deep.replay import Minibatch, Replay
+from apel.learners.q_learning import OPTIONS_CONFIG
 from apel.learners.single import SingleLearner
 from apel.learners.stacked import Transitions
 
-_Share = Annotated[float, Field(ge=0.0, le=1.0)]
-_Positive = Annotated[float, Field(gt=0.0)]
 _CRITIC_SEED = 0x2545F4914F6CDD1D
 
 
@@ -52,15 +51,15 @@ class SacOptions:
         As for DQN; the policy and the critics have a network of this kind each.
     """
 
-    learning_rate: _Positive = 3e-4
-    adam_epsilon: _Positive = 1e-8
-    discount: _Share = 0.99
-    target_entropy: _Share = 0.3
-    initial_temperature: _Positive = 1.0
-    target_average: _Share = 0.005
+    learning_rate: Positive = 3e-4
+    adam_epsilon: Positive = 1e-8
+    discount: Share = 0.99
+    target_entropy: Share = 0.3
+    initial_temperature: Positive = 1.0
+    target_average: Share = 0.005
     replay_size: Width = 50_000
     batch_size: Width = 64
-    learning_starts: Annotated[int, Field(ge=0, strict=True)] = 1000
+    learning_starts: Count = 1000
     train_every: Width = 1
     encoding: Encoding = "raw"
     network: NetworkOptions = NetworkOptions(activation="relu", initialisation="pytorch")
@@ -117,16 +116,14 @@ class StackedSac:
         self._replay = Replay(
             num_runs, self.options.replay_size, self._encoder.observation_shape, self._encoder.storage_type
         )
-        self._acting, self._sampling = acting_streams(list(seeds)), sampling_streams(list(seeds))
+        self._streams = LearnerStreams(seeds)
         self._steps = np.zeros(num_runs, dtype=np.int64)
 
     def act(self, runs: Runs, observation: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """See `StackedLearner`: an action drawn from the policy."""
         probability = self.action_values(runs, observation)
         probability[self._steps[runs] < self.options.learning_starts] = 1.0 / self._num_actions
-        actions = np.empty(len(runs), dtype=np.int64)
-        draw_categorical(probability, runs, self._acting, actions)
-        return actions, probability
+        return draw_categorical(probability, runs, self._streams.acting), probability
 
     def action_values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float64]:
         """π(·|s) of the policies that act."""
@@ -139,7 +136,7 @@ class StackedSac:
         self._steps[runs] += 1
         due = runs[(steps > self.options.learning_starts) & (steps % self.options.train_every == 0)]
         for one_call in self._rows.calls(due):
-            slots = self._replay.draw(one_call, self.options.batch_size, self._sampling)
+            slots = self._replay.draw(one_call, self.options.batch_size, self._streams.sampling)
             self._update(one_call, self._replay.take(one_call, slots))
 
     def end_episode(self, runs: Runs) -> None:
@@ -157,7 +154,7 @@ class StackedSac:
             "frozen": self._frozen.state(),
             "adams": [adam.state() for adam in self._adams],
             "replay": self._replay.state(),
-            "streams": [self._acting.copy(), self._sampling.copy()],
+            "streams": self._streams.state(),
             "steps": self._steps.copy(),
         }
 
@@ -170,7 +167,7 @@ class StackedSac:
         for adam, stored in zip(self._adams, state["adams"], strict=True):
             adam.restore(stored)
         self._replay.restore(state["replay"])
-        self._acting, self._sampling = (np.array(stream) for stream in state["streams"])
+        self._streams.restore(state["streams"])
         self._steps = np.array(state["steps"])
 
     def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:

@@ -89,8 +89,7 @@ class SegmentMemory:
 
     def draw(self, runs: Runs, batch_size: int, streams: Streams) -> Segments:
         """Segments drawn uniformly, with replacement, from the closed ones."""
-        ages = np.empty((len(runs), batch_size), dtype=np.int64)
-        draw_indices(self.size, runs, streams, ages)
+        ages = draw_indices(self.size, runs, batch_size, streams)
         return self._take(runs, self.num_closed[runs][:, None] - 1 - ages)
 
     def state(self) -> State:
