@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from jobs.plan import SweepPoint, arm_plan, arm_points, draw_variables, run_plan
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 
+_GPU = re.compile(r"cuda(:\d+)?")
 _MAX_RUNS_LOOKED_AT, _MAX_RUNS_BUILT = 1000, 20
 
 
@@ -90,10 +92,11 @@ def _check_run(point: SweepPoint, arm: str, index: int, seed: int) -> None:
 
 
 def _on_cpu(config: LearnerConfig) -> LearnerConfig:
-    """The learner without its GPU, which the machine that submits a job need not have."""
-    if not str(config.options.get("device", "")).startswith("cuda"):
-        return config
-    return replace(config, options={**config.options, "device": "cpu"})
+    """The learner and its members without their GPUs, which the machine that submits a job need not have."""
+    options = dict(config.options)
+    if _GPU.fullmatch(str(options.get("device", ""))):
+        options["device"] = "cpu"
+    return replace(config, options=options, members=tuple(map(_on_cpu, config.members)))
 
 
 def _build_learner(run: RunPlan, world: World, index: int, plan: ArmPlan, selector: Selector) -> None:

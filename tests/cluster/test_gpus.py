@@ -68,5 +68,8 @@ def test_checked_without_a_gpu(tmp_path: Path) -> None:
     path = tmp_path / "gpus.yaml"
     path.write_text(SPEC)
     check(load_experiment(str(path), ["learners.with={type: dqn, device: 'cuda:3', num_gpus: 1}"]))
-    with pytest.raises(SpecError, match="device"):
-        check(load_experiment(str(path), ["learners.with={type: dqn, device: gpu}"]))
+    votes = "learners={with: {type: dqn, device: cuda}, without: {type: voting, members: [with]}}"
+    check(load_experiment(str(path), [votes]))
+    for unknown in ("gpu", "cudas", "'cuda:'"):
+        with pytest.raises(SpecError, match="device"):
+            check(load_experiment(str(path), [f"learners.with={{type: dqn, device: {unknown}}}"]))
