@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from jobs.runner import Outcome
+from jobs.runner import Outcome, Settings, run_experiment
+from jobs.spec_files import load_experiment
 
 
 def run_rows(folder: Path) -> pd.DataFrame:
@@ -26,6 +27,16 @@ def episode_rows(folder: Path) -> pd.DataFrame:
 def folder_of(outcome: Outcome) -> Path:
     """Where an outcome is stored."""
     return Path(outcome.store.folder.path())
+
+
+def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
+    """Run an experiment in which nothing fails; where its results are."""
+    outcome = run_experiment(
+        load_experiment(str(spec), overrides),
+        Settings(results=str(results), dashboard=False, **settings),  # type: ignore[arg-type]
+    )
+    assert outcome.failures == []
+    return folder_of(outcome)
 
 
 def assert_same(one: Path, other: Path) -> None:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cluster.coordinator import Coordinator
 from cluster.shard import Execution
 from jobs.plan import plan_shards
-from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
-from tests.cluster.test_coordinator import FailingHosts, Memory
-from tests.same_rows import assert_same, folder_of
+from tests.cluster.losing import assert_goes_on
+from tests.same_rows import assert_same, play
 
 DEEP = """
 name: deep
@@ -48,16 +45,6 @@ def deep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def play(spec: Path, results: Path, **settings: object) -> Path:
-    """Run it; where its results are."""
-    outcome = run_experiment(
-        load_experiment(str(spec)),
-        Settings(results=str(results), dashboard=False, **settings),  # type: ignore[arg-type]
-    )
-    assert outcome.failures == []
-    return folder_of(outcome)
-
-
 @pytest.fixture(scope="module")
 def reference(deep: Path) -> Path:
     """All runs of an arm in one shard, in this process."""
@@ -86,16 +73,4 @@ def test_placement_changes_no_row(
 def test_goes_on_from_the_checkpoint(deep: Path, arm: str, rounds: int) -> None:
     """A shard that is lost ends with the rows, train times and steady states of an undisturbed one."""
     shard = plan_shards(load_experiment(str(deep), ["runs=3"]), 100, [arm], set(), 1)[-1]
-    undisturbed, memory = Memory(), Memory()
-    execution = Execution(streak_episodes=1, streak_steps=5, checkpoint_seconds=0.0, checkpoint_share=1.0)
-    list(Coordinator(FailingHosts(10**6), undisturbed, undisturbed, execution).run(shard))
-    with pytest.raises(ConnectionError):
-        list(Coordinator(FailingHosts(rounds), memory, memory, execution).run(shard))
-    assert memory.num_checkpoints == rounds
-    memory.rows.clear()
-    list(Coordinator(FailingHosts(10**6), memory, memory, execution).run(shard))
-    assert memory.sorted_rows() == undisturbed.sorted_rows()
-    assert memory.runs is not None
-    assert undisturbed.runs is not None
-    for name in ("position", "train_time", "censored", "episodes", "steps", "steady_state"):
-        np.testing.assert_array_equal(getattr(memory.runs, name), getattr(undisturbed.runs, name))
+    assert_goes_on(shard, rounds)

@@ -6,17 +6,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
-from cluster.coordinator import Coordinator
 from cluster.shard import Execution
 from jobs.plan import plan_shards
-from jobs.runner import Settings, run_experiment
 from jobs.spec_files import load_experiment
-from tests.cluster.test_coordinator import FailingHosts, Memory
-from tests.same_rows import assert_same, episode_rows, folder_of, run_rows
+from tests.cluster.losing import assert_goes_on
+from tests.same_rows import assert_same, episode_rows, play, run_rows
 
 MIXED = """
 name: mixed-maze
@@ -63,14 +60,6 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
-    """Run it; where its results are."""
-    experiment = load_experiment(str(spec), overrides)
-    outcome = run_experiment(experiment, Settings(results=str(results), dashboard=False, **settings))  # type: ignore[arg-type]
-    assert outcome.failures == []
-    return folder_of(outcome)
-
-
 @pytest.fixture(scope="module")
 def reference(mixed: Path) -> Path:
     """All runs of an arm in one shard, in this process."""
@@ -106,20 +95,7 @@ def test_placement_changes_no_row(
 def test_goes_on_from_the_checkpoint(mixed: Path, arm: str, rounds: int) -> None:
     """A shard that is lost in mid-epoch ends with the rows, train times and steady states of an undisturbed one."""
     shard = plan_shards(load_experiment(str(mixed), ["runs=2"]), 100, [arm], set(), 1)[-1]
-    # An arm of one learner has streaks ten times as long.
-    undisturbed, memory = Memory(), Memory()
-    execution = Execution(streak_episodes=1, streak_steps=5, checkpoint_seconds=0.0, checkpoint_share=1.0)
-    list(Coordinator(FailingHosts(10**6), undisturbed, undisturbed, execution).run(shard))
-    with pytest.raises(ConnectionError):
-        list(Coordinator(FailingHosts(rounds), memory, memory, execution).run(shard))
-    assert memory.num_checkpoints == rounds
-    memory.rows.clear()
-    list(Coordinator(FailingHosts(10**6), memory, memory, execution).run(shard))
-    assert memory.sorted_rows() == undisturbed.sorted_rows()
-    assert memory.runs is not None
-    assert undisturbed.runs is not None
-    for name in ("position", "train_time", "censored", "episodes", "steps", "steady_state"):
-        np.testing.assert_array_equal(getattr(memory.runs, name), getattr(undisturbed.runs, name))
+    assert_goes_on(shard, rounds)
 
 
 def test_columns_follow_from_the_rows(reference: Path) -> None:

@@ -9,23 +9,11 @@ from pathlib import Path
 import pytest
 
 from cluster.shard import Execution
-from jobs.runner import Settings, run_experiment
-from jobs.spec_files import load_experiment
 from tests.conftest import SMALL
-from tests.same_rows import assert_same, folder_of
+from tests.same_rows import assert_same, play
 
 MANY = ("runs=100", "episodes=25", "record=log")
 TWO: tuple[str, ...] = ("Q_full", "APEL")
-
-
-def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path:
-    """Run an experiment; where its results are."""
-    outcome = run_experiment(
-        load_experiment(str(spec), overrides),
-        Settings(results=str(results), dashboard=False, **settings),  # type: ignore[arg-type]
-    )
-    assert outcome.failures == []
-    return folder_of(outcome)
 
 
 @pytest.fixture(scope="module")
