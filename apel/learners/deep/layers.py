@@ -74,6 +74,10 @@ class Linear:
             # A batched matrix product with one column rounds differently from one number of runs to another, and a
             # run's result must not depend on its neighbours.
             return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias.unsqueeze(1)
+        if x.shape[:2] == (1, 1):
+            # A single product of a vector is none of a batch, and on some machines rounds differently.
+            x, weight, bias = (tensor.expand(2, *tensor.shape[1:]) for tensor in (x, weight, bias))
+            return torch.baddbmm(bias.unsqueeze(1), x, weight)[:1]
         return torch.baddbmm(bias.unsqueeze(1), x, weight)
 
 

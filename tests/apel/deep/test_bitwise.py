@@ -99,6 +99,7 @@ few = settings(
 )
 @example(inputs=4, width=256, batch_size=1, subset={1, 2, 4}, start=4)
 @example(inputs=4, width=16, batch_size=32, subset={1, 5}, start=4)
+@example(inputs=20, width=256, batch_size=1, subset={0, 3}, start=0)
 def test_dense_networks(
     kind: str, num_actions: int, inputs: int, width: int, batch_size: int, subset: set[int], start: int
 ) -> None:
