@@ -30,7 +30,7 @@ from apel.learners.base import Freezable, HasActionValues, Learner, Performance
 from apel.learners.member import Codec, Member
 from apel.learners.voting import Voter
 from apel.registry import LEARNERS, METRICS, SELECTORS, resolve
-from apel.representations import Representation, View
+from apel.representations import Representation, View, WholeView
 from apel.seeding import Role, make_key
 from apel.selection import Selector
 
@@ -90,12 +90,16 @@ def make_member(
 def _make_learner(config: LearnerConfig, world: World, run_seed: int, *place: int) -> Voter:
     """A learner and its view; ``place`` is its index, and its index among the members of the one that holds it."""
     environment = world.environment
-    view = View(config.representation, environment.observation_space, world.features)
     options = dict(config.options)
-    if config.members:
+    if not config.members:
+        view = View(config.representation, environment.observation_space, world.features)
+    else:
+        view = WholeView(environment.observation_space)
         if config.representation != Representation():
             message = f"{config.type}: found a representation of a learner that has members, expected it on the members"
             raise ValueError(message)
+        for member in config.members:
+            _check_voter(member)
         members = enumerate(config.members)
         options["members"] = [_make_learner(member, world, run_seed, *place, i) for i, member in members]
     seed = make_key(run_seed, Role.LEARNER, *place)
@@ -105,6 +109,14 @@ def _make_learner(config: LearnerConfig, world: World, run_seed: int, *place: in
         message = f"{config.type}: found {type(learner).__name__}, expected a learner (see apel.Learner)"
         raise ValueError(message)
     return Voter(learner, view)
+
+
+def _check_voter(config: LearnerConfig) -> None:
+    """Those who vote are asked and taught step by step, by one that keeps nothing for them."""
+    seen = config.representation
+    if seen.stack > 1 or seen.reward is not None or seen.terminal is not None:
+        message = f"{config.type}: found stack, reward or terminal of a learner that votes, expected none of them there"
+        raise ValueError(message)
 
 
 def _try_to_freeze(learner: Learner, name: str) -> None:
@@ -205,8 +217,9 @@ def _tabular_learner(config: LearnerConfig, run_seed: int, index: int) -> Tabula
 
 
 def _tabular_member(config: LearnerConfig, run_seed: int, *place: int) -> TabularMember:
-    if config.representation.bins:
-        message = "bins: found bins for an environment that is finite already, expected none"
+    seen = config.representation
+    if seen != Representation(exclude=seen.exclude):
+        message = f"found {seen} for an environment that is finite already, expected nothing but exclude"
         raise ValueError(message)
     options = _construct(_TABLE_OPTIONS[LEARNERS[config.type]], config.type, config.options)
     return TabularMember(options, config.representation, make_key(run_seed, Role.LEARNER, *place))

@@ -1,4 +1,4 @@
-"""What a learner sees of the raw observation: some of its features, continuous ones in bins."""
+"""What a learner sees of a step: which part of the observation, which reward, which end of an episode."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
+
+from apel.channels import ChannelSpace
+from apel.stacking import stacked_space
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -39,7 +42,7 @@ class Bins:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class Representation:
-    """A learner's view of the raw observation.
+    """A learner's view of what happens.
 
     Attributes
     ----------
@@ -48,10 +51,24 @@ class Representation:
     bins:
         One entry per feature of a continuous observation (before exclusion), for learners that need finitely many
         states.
+    channel:
+        Which part of the observation it sees, of an environment with several (`apel.channels`); exclusion and bins are
+        of that part.
+    stack:
+        It sees its last so many views at once, along a new first axis; those before the first are like the first.
+    reward:
+        The signal that it learns from instead of the environment's reward.
+    terminal:
+        The signal that, where it is not zero, ends an episode for this learner alone: the next state's value is zero,
+        and its stack starts anew.
     """
 
     exclude: tuple[str | int, ...] = ()
     bins: tuple[Bins, ...] = ()
+    channel: str | None = None
+    stack: Annotated[int, Field(ge=1)] = 1
+    reward: str | None = None
+    terminal: str | None = None
 
     def visible(self, features: Sequence[str]) -> list[int]:
         """Positions of the features that are seen.
@@ -75,27 +92,39 @@ class Representation:
 class View:
     """A `Representation` applied to one observation space.
 
+    It knows no past: stacking the last views is left to `apel.stacking`.
+
     Attributes
     ----------
     space:
-        What the learner is told of: the observation space after exclusion and quantisation.
+        What the learner is told of: the observation space after all of it, stacking included.
+    stack:
+        See `Representation`.
     """
 
     def __init__(
         self, representation: Representation, space: spaces.Space[Any], features: Sequence[str] | None = None
     ) -> None:
+        self._channel = _channel(representation, space)
+        self._reward = _signal("reward", representation.reward, space)
+        self._terminal = _signal("terminal", representation.terminal, space)
+        if isinstance(space, ChannelSpace) and self._channel is not None:
+            space = space[self._channel]
         names = tuple(features or _default_features(space))
         self._visible = representation.visible(names)
         self._bins = representation.bins
-        self._is_identity = not representation.exclude and not representation.bins
+        self._is_whole = not representation.exclude and not representation.bins
         if self._bins and (len(self._bins) != len(names) or not isinstance(space, spaces.Box) or len(space.shape) != 1):
             message = f"bins: found {len(self._bins)} for {space}, expected one per feature of a one-dimensional Box"
             raise ValueError(message)
-        self.space = space if self._is_identity else self._reduced(space)
+        self.stack = representation.stack
+        self.space = stacked_space(space if self._is_whole else self._reduced(space), self.stack)
 
     def __call__(self, observation: Any) -> Any:
-        """What the learner sees of ``observation``."""
-        if self._is_identity:
+        """What the learner sees of ``observation``, a single one."""
+        if self._channel is not None:
+            observation = observation[self._channel]
+        if self._is_whole:
             return observation
         values = np.asarray(observation)
         if self._bins:
@@ -104,12 +133,22 @@ class View:
 
     def batch(self, observations: NDArray[Any]) -> NDArray[Any]:
         """What the learner sees of observations ``[A, …]``."""
-        if self._is_identity:
+        if self._channel is not None:
+            observations = observations[self._channel]
+        if self._is_whole:
             return observations
         if self._bins:
             columns = [self._bins[i].index(observations[:, i]) for i in self._visible]
             return np.stack(columns, axis=1).astype(np.int64)
         return observations[:, self._visible]
+
+    def rewards(self, reward: Any, entry: Any) -> Any:
+        """What the learner is paid for steps that led to ``entry``: of one step, or ``[A]`` of several."""
+        return reward if self._reward is None else entry[self._reward].astype(np.float64)
+
+    def terminals(self, terminated: Any, entry: Any) -> Any:
+        """Whether the episode ended there for the learner: of one step, or ``[A]`` of several."""
+        return terminated if self._terminal is None else terminated | (entry[self._terminal] != 0)
 
     def _reduced(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
         if self._bins:
@@ -122,6 +161,35 @@ class View:
             f"exclude: features can be left out of MultiDiscrete and one-dimensional Box spaces only, found {space}"
         )
         raise ValueError(message)
+
+
+class WholeView(View):
+    """Everything, for a learner whose members have representations of their own."""
+
+    def __init__(self, space: spaces.Space[Any]) -> None:
+        self._channel = self._reward = self._terminal = None
+        self._is_whole, self._bins, self._visible = True, (), []
+        self.stack, self.space = 1, space
+
+
+def _channel(representation: Representation, space: spaces.Space[Any]) -> str | None:
+    if not isinstance(space, ChannelSpace):
+        if representation.channel is not None:
+            message = f"channel: found {representation.channel!r}, but the environment has no channels"
+            raise ValueError(message)
+        return None
+    if representation.channel not in space.spaces:
+        message = f"channel: found {representation.channel!r}, expected one of {list(space.spaces)}"
+        raise ValueError(message)
+    return representation.channel
+
+
+def _signal(field: str, name: str | None, space: spaces.Space[Any]) -> str | None:
+    signals = space.signals if isinstance(space, ChannelSpace) else ()
+    if name is not None and name not in signals:
+        message = f"{field}: found {name!r}, expected one of the environment's signals: {list(signals)}"
+        raise ValueError(message)
+    return name
 
 
 def _default_features(space: spaces.Space[Any]) -> list[str]:

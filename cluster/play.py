@@ -19,7 +19,7 @@ from cluster.learner_host import open_shard_book
 from cluster.protocols import RunRows
 from cluster.shard import Shard, recorded_episodes
 
-CHECKPOINT_VERSION = 2
+CHECKPOINT_VERSION = 3
 """To be raised whenever an older checkpoint would go on to other rows."""
 
 
@@ -94,7 +94,7 @@ class Play:
     def shown(self, round_seconds: float, checkpoint_seconds: float) -> ShardProgress:
         """The progress to be reported; what happened since the last report is counted from here on anew."""
         over = self.book.status != RUNNING
-        episodes = np.where(over, self.book.num_episodes, self.book.episode)
+        episodes = np.where(over, self.book.num_episodes, np.maximum(self.book.episode, self._episodes_by_steps()))
         progress = ShardProgress(
             num_finished=int(over.sum()),
             episodes=int(episodes.sum()),
@@ -110,6 +110,11 @@ class Play:
         )
         self._forget_recent()
         return progress
+
+    def _episodes_by_steps(self) -> NDArray[np.int64]:
+        """The share of its steps that each run has played, in episodes."""
+        share = self.book.steps / self.book.num_steps
+        return (np.minimum(share, 1.0) * self.book.num_episodes).astype(np.int64)
 
     def _forget_recent(self) -> None:
         self._played = np.zeros(self._num_hosts, dtype=np.int64)

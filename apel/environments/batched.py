@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from apel.batched import BatchedEnvironment, Runs, Stepped
+from apel.channels import entry_layout
 from apel.compiled import njit
 from apel.environments.cartpole import batched_cart_pole
 from apel.environments.factory import World
@@ -155,6 +156,7 @@ class EnvironmentList:
 
     def __init__(self, environments: Sequence[gymnasium.Env[Any, Any]]) -> None:
         self._environments = environments
+        self._shape, self._type = entry_layout(environments[0].observation_space)
 
     def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
         """Start an episode of each run with its seed."""
@@ -174,30 +176,29 @@ class EnvironmentList:
         for position, (run, argument) in enumerate(zip(runs.tolist(), arguments, strict=True)):
             environment = self._environments[run]
             try:
-                outcomes.append(function(environment, argument))
+                outcome = function(environment, argument)
+                self._check(outcome[0])
+                outcomes.append(outcome)
             except Exception as error:  # noqa: BLE001 - whatever a user's code raises ends this run, and only this one
                 errors[position] = f"{type(error).__name__}: {error}"
-                space = environment.observation_space
-                outcomes.append((np.zeros(space.shape, dtype=space.dtype), 0.0, False, False))
+                outcomes.append((np.zeros(self._shape, dtype=self._type), 0.0, False, False))
         entry, reward, terminated, truncated = zip(*outcomes, strict=True)
         return Stepped(np.stack(entry), np.array(reward), np.array(terminated), np.array(truncated), errors)
+
+    def _check(self, entry: NDArray[Any]) -> None:
+        """It stands beside others'."""
+        if entry.shape != self._shape:
+            message = f"found an observation of shape {entry.shape}, expected {self._shape}"
+            raise ValueError(message)
 
 
 def _reset(environment: gymnasium.Env[Any, Any], seed: int) -> _Outcome:
     observation, _ = environment.reset(seed=seed)
-    return _entry(environment, observation), 0.0, False, False
+    return np.array(observation), 0.0, False, False
 
 
 def _step(environment: gymnasium.Env[Any, Any], action: int) -> _Outcome:
     first = int(environment.action_space.start)  # type: ignore[attr-defined]
     observation, reward, terminated, truncated, _ = environment.step(action + first)
-    return _entry(environment, observation), float(reward), bool(terminated), bool(truncated)
-
-
-def _entry(environment: gymnasium.Env[Any, Any], observation: Any) -> NDArray[Any]:
-    """A copy, since environments may reuse their arrays; of the promised shape, since it stands beside others'."""
-    entry = np.array(observation)
-    if entry.shape != environment.observation_space.shape:
-        message = f"found an observation of shape {entry.shape}, expected {environment.observation_space.shape}"
-        raise ValueError(message)
-    return entry
+    # A copy, since environments may reuse their arrays.
+    return np.array(observation), float(reward), bool(terminated), bool(truncated)

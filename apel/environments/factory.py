@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation, TimeLimit
 
+from apel.channels import ChannelledEnvironment, signals_of
 from apel.configs import EnvironmentConfig
 from apel.environments.finite_environment import FiniteEnvironment, HasFiniteModel, HasTransitionTable, toy_text_model
 from apel.finite import FiniteModel
@@ -26,7 +27,8 @@ class World:
     Attributes
     ----------
     environment:
-        With an array or a number as observation; finite ones play their tables with this project's streams.
+        With an array or a number as observation (an entry of its `apel.channels.ChannelSpace` where it has channels);
+        finite ones play their tables with this project's streams.
     model:
         The tables, or None where the environment is not finite.
     key:
@@ -64,6 +66,8 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
     model = _model(config, environment)
     if model is not None and not isinstance(environment.unwrapped, HasFiniteModel):
         environment = FiniteEnvironment(model)
+    elif (signals := signals_of(environment)) is not None:
+        environment = ChannelledEnvironment(environment, signals)
     elif not isinstance(environment.observation_space, _PLAIN_SPACES):
         environment = FlattenObservation(environment)
     key = make_key(run_seed, Role.ENVIRONMENT)

@@ -13,7 +13,6 @@ from apel.trajectory import TrajectoryBatch
 class Step(NamedTuple):
     """One step of A runs, in the order of `Cursor.runs`; actions are counted from 0, unknown probabilities NaN."""
 
-    entry: NDArray[Any]
     next_entry: NDArray[Any]
     action: NDArray[np.int64]
     reward: NDArray[np.float64]
@@ -46,16 +45,21 @@ class Cursor:
         """``int64[A]``: which episode each run is in."""
         return self._batch.episodes.episode[self._row[self._at]]
 
+    @property
+    def entries(self) -> NDArray[Any]:
+        """``[A, …]``: the entries at which every run stands."""
+        row = self._row[self._at]
+        # Every episode before has one more observation than steps.
+        return self._batch.observation[self._first_step[row] + self._taken + row]
+
     def step(self) -> Step:
-        """The step at which every run stands."""
+        """The step from where every run stands."""
         batch, row = self._batch, self._row[self._at]
         here = self._first_step[row] + self._taken
-        entry = here + row  # every episode before has one more observation than steps
         is_last = self._taken + 1 == batch.episodes.length[row]
         terminated = is_last & batch.episodes.terminated[row]
         return Step(
-            entry=batch.observation[entry],
-            next_entry=batch.observation[entry + 1],
+            next_entry=batch.observation[here + row + 1],
             action=batch.action[here].astype(np.int64) - self._first_action,
             reward=batch.reward_value[batch.reward_code[here]],
             terminated=terminated,
@@ -66,8 +70,10 @@ class Cursor:
     def _unknown(self, count: int) -> NDArray[np.float64]:
         return np.full((count, self._num_actions), np.nan)
 
-    def advance(self) -> NDArray[np.bool_]:
-        """Go to the next step of every run, and forget those that have none; which of the rest begin an episode."""
+    def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Go to the next step of every run, and forget those that have none: which of the rest begin an episode, and
+        which of all they are.
+        """
         self._taken += 1
         started = self._taken == self._batch.episodes.length[self._row[self._at]]
         self._at[started] += 1
@@ -76,4 +82,4 @@ class Cursor:
         self.runs, self._at, self._end, self._taken = (
             column[left] for column in (self.runs, self._at, self._end, self._taken)
         )
-        return started[left]
+        return started[left], left

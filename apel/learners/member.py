@@ -15,6 +15,7 @@ from apel.finite import FiniteModel
 from apel.learners.base import Freezable, HasActionValues, Learner, Transition
 from apel.representations import View
 from apel.selection import starts_epoch
+from apel.stacking import ViewStack
 from apel.trajectory import Trajectory
 
 
@@ -54,6 +55,7 @@ class Member:
     ) -> None:
         self.learner = learner
         self._view = view
+        self._stack = ViewStack(view.stack)
         self._codec = codec
         self._first_action = int(action_space.start)
         self._freezes = freezes
@@ -63,17 +65,17 @@ class Member:
         self._freeze_at_epoch(episode)
         observation, _ = environment.reset(seed=seed)
         observations, actions, rewards, probabilities = [self._codec.encode(observation)], [], [], []
+        seen = self._first_seen(observation)
         while True:
-            seen = self._view(observation)
             action, probability = self.learner.act(seen)
+            # Environments may reuse their arrays.
             seen = np.array(seen) if isinstance(seen, np.ndarray) else seen
             observation, reward, terminated, truncated, _ = environment.step(action)
-            self.learner.learn(
-                Transition(seen, action, float(reward), self._view(observation), terminated, truncated, probability)
-            )
+            paid = float(reward)
+            seen = self._learn(seen, action, paid, observation, terminated, truncated, probability)
             observations.append(self._codec.encode(observation))
             actions.append(action)
-            rewards.append(float(reward))
+            rewards.append(paid)
             probabilities.append(probability)
             if terminated or truncated:
                 break
@@ -91,14 +93,17 @@ class Member:
         """Length and return of an episode in which it takes the first of its best actions, and nobody learns."""
         assert isinstance(self.learner, HasActionValues)  # noqa: S101 - make_member has seen to it
         observation, _ = environment.reset(seed=seed)
-        length, total = 0, 0.0
+        seen, length, total = self._first_seen(observation), 0, 0.0
         while True:
-            action = int(np.argmax(self.learner.action_values(self._view(observation)))) + self._first_action
+            action = int(np.argmax(self.learner.action_values(seen))) + self._first_action
             observation, reward, terminated, truncated, _ = environment.step(action)
             length += 1
             total += float(reward)
             if terminated or truncated:
                 return length, total
+            following = self._stack.push(self._view(observation))
+            is_over = self._view.terminals(False, observation)
+            seen = self._first_seen(observation) if is_over else following
 
     def _freeze_at_epoch(self, episode: int) -> None:
         if self._freezes and starts_epoch(episode) and isinstance(self.learner, Freezable):
@@ -108,19 +113,37 @@ class Member:
         """Train on the run's episode ``episode``, which another learner played, in the same order."""
         self._freeze_at_epoch(episode)
         last = len(trajectory) - 1
-        seen = self._view(self._codec.decode(trajectory.observation[0]))
+        seen = self._first_seen(self._codec.decode(trajectory.observation[0]))
         for step in range(len(trajectory)):
-            following = self._view(self._codec.decode(trajectory.observation[step + 1]))
-            self.learner.learn(
-                Transition(
-                    observation=seen,
-                    action=int(trajectory.action[step]),
-                    reward=float(trajectory.reward[step]),
-                    next_observation=following,
-                    terminated=step == last and trajectory.terminated,
-                    truncated=step == last and not trajectory.terminated,
-                    probability=None if trajectory.probability is None else trajectory.probability[step],
-                )
+            seen = self._learn(
+                seen,
+                int(trajectory.action[step]),
+                float(trajectory.reward[step]),
+                self._codec.decode(trajectory.observation[step + 1]),
+                step == last and trajectory.terminated,
+                step == last and not trajectory.terminated,
+                None if trajectory.probability is None else trajectory.probability[step],
             )
-            seen = following
         self.learner.end_episode()
+
+    def _first_seen(self, observation: Any) -> Any:
+        """What the learner sees where an episode begins for it."""
+        return self._stack.start(self._view(observation))
+
+    def _learn(
+        self,
+        seen: Any,
+        action: int,
+        reward: float,
+        observation: Any,
+        terminated: bool,
+        truncated: bool,
+        probability: NDArray[np.float64] | None,
+    ) -> Any:
+        """Learn from a step that led to ``observation``; what the learner sees there when it acts."""
+        following = self._stack.push(self._view(observation))
+        is_over = bool(self._view.terminals(terminated, observation))
+        paid = float(self._view.rewards(reward, observation))
+        is_cut = truncated and not is_over
+        self.learner.learn(Transition(seen, action, paid, following, is_over, is_cut, probability))
+        return self._first_seen(observation) if is_over and not terminated else following

@@ -18,6 +18,7 @@ from apel.learners.stacked import StackedLearner, Transitions
 from apel.learners.streaks import EpisodeRow, criterion_measure, measure, played
 from apel.representations import View
 from apel.selection import Selector, starts_epoch
+from apel.stacking import ViewStacks
 from apel.streams import episode_seed, evaluation_seed
 from apel.trajectory import Trajectory, TrajectoryBatch
 
@@ -61,6 +62,7 @@ class StackedBank:
         self._num_actions = int(action_space.n)
         self._keys = [np.uint64(key) for key in environment_keys]
         self._view = view
+        self._stacks = ViewStacks(len(self._keys), view.stack, view.space)
         self._freezes = freezes
 
     def play(
@@ -73,17 +75,37 @@ class StackedBank:
         """Learn from others' episodes, one step of every run at a time."""
         cursor = Cursor(batch, self._num_actions, self.first_action)
         self.freeze_at_epoch(cursor.runs, cursor.episodes)
-        while len(cursor.runs):
+        seen = self.first_seen(cursor.runs, cursor.entries)
+        while len(runs := cursor.runs):
             step = cursor.step()
-            seen, following = self.see(step.entry), self.see(step.next_entry)
-            transitions = Transitions(
-                seen, step.action, step.reward, following, step.terminated, step.truncated, step.probability
-            )
-            self.learner.learn(cursor.runs, transitions)
-            self.learner.end_episode(cursor.runs[step.terminated | step.truncated])
-            started = cursor.advance()
-            self.freeze_at_epoch(cursor.runs[started], cursor.episodes[started])
+            stepped = Stepped(step.next_entry, step.reward, step.terminated, step.truncated)
+            following = self.learn_step(runs, seen, step.action, stepped, step.probability)
+            self.learner.end_episode(runs[step.terminated | step.truncated])
+            started, left = cursor.advance()
+            seen = following[left]
+            if started.any():
+                self.freeze_at_epoch(cursor.runs[started], cursor.episodes[started])
+                seen[started] = self.first_seen(cursor.runs[started], cursor.entries[started])
         return ()
+
+    def learn_step(
+        self,
+        runs: Runs,
+        seen: NDArray[Any],
+        action: NDArray[np.int64],
+        stepped: Stepped,
+        probability: NDArray[np.float64],
+    ) -> NDArray[Any]:
+        """Learn from one step of each of ``runs``; what their learners see after it, when they act."""
+        following = self._stacks.push(runs, self.see(stepped.entry))
+        reward = self._view.rewards(stepped.reward, stepped.entry)
+        is_over = self._view.terminals(stepped.terminated, stepped.entry)
+        truncated = stepped.truncated & ~is_over
+        self.learner.learn(runs, Transitions(seen, action, reward, following, is_over, truncated, probability))
+        again = is_over & ~stepped.terminated
+        if again.any():
+            following[again] = self.first_seen(runs[again], stepped.entry[again])
+        return following
 
     def state(self) -> State:
         """That of the learner; environments start afresh with every episode."""
@@ -94,8 +116,12 @@ class StackedBank:
         self.learner.restore(state)
 
     def see(self, entries: NDArray[Any]) -> NDArray[Any]:
-        """What the learner sees where such entries stand in trajectories."""
+        """What the learner sees, but for stacking, where such entries stand in trajectories."""
         return self._view.batch(self.environment.decode(entries))
+
+    def first_seen(self, runs: Runs, entries: NDArray[Any]) -> NDArray[Any]:
+        """What the learners see where an episode begins for them."""
+        return self._stacks.start(runs, self.see(entries))
 
     def reset(self, runs: Runs, episodes: NDArray[np.int64]) -> Stepped:
         """Start an episode of each run."""
@@ -112,10 +138,12 @@ class StackedBank:
         """Length and return of an episode in which the run takes the first of its best actions, and nobody learns."""
         runs = np.array([run], dtype=np.int64)
         stepped = self.environment.reset(runs, [evaluation_seed(self._keys[run], episode)])
-        length, total = 0, 0.0
+        length, total, begins = 0, 0.0, True
         while not (stepped.errors or stepped.terminated[0] or stepped.truncated[0]):
-            best = self.learner.action_values(runs, self.see(stepped.entry)).argmax(axis=1)
-            stepped = self.environment.step(runs, best)
+            view = self.see(stepped.entry)
+            seen = self._stacks.start(runs, view) if begins else self._stacks.push(runs, view)
+            stepped = self.environment.step(runs, self.learner.action_values(runs, seen).argmax(axis=1))
+            begins = bool(self._view.terminals(stepped.terminated, stepped.entry)[0])
             length += 1
             total += float(stepped.reward[0])
         for error in stepped.errors.values():
@@ -180,7 +208,7 @@ class _Round:
         kept = self._without_errors(runs, stepped)
         for run, entry in zip(runs[kept].tolist(), stepped.entry[kept], strict=True):
             self._open[run] = _Episode([entry] if self._keeps_entries else [])
-        return runs[kept], self._bank.see(stepped.entry[kept])
+        return runs[kept], self._bank.first_seen(runs[kept], stepped.entry[kept])
 
     def _tick(self, active: Runs, seen: NDArray[Any]) -> tuple[Runs, NDArray[Any]]:
         """One step of every active run: those that go on, and what their learners see then."""
@@ -192,11 +220,7 @@ class _Round:
             stepped = stepped.at(kept)
         if not len(active):
             return active, seen
-        following = self._bank.see(stepped.entry)
-        transitions = Transitions(
-            seen, action, stepped.reward, following, stepped.terminated, stepped.truncated, probability
-        )
-        self._bank.learner.learn(active, transitions)
+        following = self._bank.learn_step(active, seen, action, stepped, probability)
         self._note(active, action + self._bank.first_action, stepped, probability)
         ended = stepped.terminated | stepped.truncated
         if not ended.any():

@@ -154,9 +154,9 @@ class StackedDqn:
         self._target = self._online.clone()
         self._frozen = FrozenRows(self._rows, len(seeds))
         self._adam = RowAdam(self._online, self.options.learning_rate, self.options.adam_epsilon)
-        self._replay = Replay(
-            len(seeds), self.options.replay_size, self._encoder.observation_shape, self._encoder.storage_type
-        )
+        encoder = self._encoder
+        size, shape = self.options.replay_size, encoder.observation_shape
+        self._replay = Replay(len(seeds), size, shape, encoder.storage_type, encoder.stack)
         prioritized = self.options.prioritized
         self._priorities = Priorities(len(seeds), self.options.replay_size, prioritized) if prioritized else None
         self._streams = LearnerStreams(seeds)

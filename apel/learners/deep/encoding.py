@@ -9,14 +9,18 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from apel.channels import integer_type
+from apel.stacking import StackSpace
+
 Encoding = Literal["raw", "one_hot"]
 
 
 class Encoder:
     """Makes ``float32`` inputs of observations.
 
-    A Box goes in as it is (images of bytes divided by 255). A Discrete observation is a one-hot vector. The variables
-    of a MultiDiscrete one go in as numbers (``raw``), or as one-hot vectors side by side (``one_hot``).
+    A Box goes in as it is (images of bytes divided by the largest value that they may have, such as 255). A Discrete
+    observation is a one-hot vector. The variables of a MultiDiscrete one go in as numbers (``raw``), or as one-hot
+    vectors side by side (``one_hot``).
 
     Attributes
     ----------
@@ -26,6 +30,8 @@ class Encoder:
         The smallest type that holds an observation.
     observation_shape:
         Of one observation.
+    stack:
+        How many frames an observation has, along its first axis (`apel.stacking`).
 
     Raises
     ------
@@ -39,10 +45,10 @@ class Encoder:
             raise ValueError(message)
         self.observation_shape = tuple(space.shape or ())
         self.storage_type = _storage_type(space)
+        self.stack = space.size if isinstance(space, StackSpace) else 1
         self._sizes, self._starts = _one_hot_sizes(space, encoding)
         self.shape = (int(self._sizes.sum()),) if len(self._sizes) else self.observation_shape
-        is_image = isinstance(space, spaces.Box) and len(self.shape) == 3 and space.dtype == np.uint8
-        self._scale = np.float32(1 / 255 if is_image else 1)
+        self._scale = _scale(space)
 
     def __call__(self, observation: NDArray[Any]) -> NDArray[np.float32]:
         """``float32[…, *shape]`` of observations ``[…, *observation_shape]``."""
@@ -58,6 +64,11 @@ class Encoder:
         return one_hot.reshape(*leading, *self.shape)
 
 
+def _scale(space: spaces.Space[Any]) -> np.float32:
+    is_image = isinstance(space, spaces.Box) and len(space.shape) == 3 and space.dtype == np.uint8
+    return np.float32(1 / space.high.max() if is_image else 1)  # type: ignore[attr-defined]
+
+
 def _one_hot_sizes(space: spaces.Space[Any], encoding: Encoding) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number of values, and the first value, of each variable that becomes a one-hot vector; none where none does."""
     match space:
@@ -71,8 +82,7 @@ def _one_hot_sizes(space: spaces.Space[Any], encoding: Encoding) -> tuple[NDArra
 def _storage_type(space: spaces.Space[Any]) -> np.dtype[Any]:
     match space:
         case spaces.Discrete() | spaces.MultiDiscrete():
-            count = space.n if isinstance(space, spaces.Discrete) else space.nvec
-            return np.result_type(*map(np.min_scalar_type, (np.min(space.start), np.max(space.start + count - 1))))
+            return integer_type(space)
         case spaces.Box() if space.dtype in (np.dtype(np.uint8), np.dtype(np.bool_)):
             return np.dtype(space.dtype)
         case spaces.MultiBinary():

@@ -113,9 +113,9 @@ class StackedSac:
         self._frozen = FrozenRows(self._rows, len(seeds))
         learned = (self._policy, self._critics, self._log_temperature)
         self._adams = [RowAdam(rows, self.options.learning_rate, self.options.adam_epsilon) for rows in learned]
-        self._replay = Replay(
-            num_runs, self.options.replay_size, self._encoder.observation_shape, self._encoder.storage_type
-        )
+        encoder = self._encoder
+        size, shape = self.options.replay_size, encoder.observation_shape
+        self._replay = Replay(num_runs, size, shape, encoder.storage_type, encoder.stack)
         self._streams = LearnerStreams(seeds)
         self._steps = np.zeros(num_runs, dtype=np.int64)
 
