@@ -20,6 +20,8 @@ from apel.seeding import Role, make_stream
 from apel.selection import Observe, Select, Selector
 from apel.trajectory import Episodes
 
+ANY_STEPS = np.iinfo(np.int64).max
+"""Where no number of steps ends a run."""
 RUNNING, FINISHED, NOT_FINITE, BAD_SELECTION, FAILED = range(5)
 
 
@@ -51,6 +53,7 @@ class Book(NamedTuple):
     """``float64[R]``: sum of the returns from episode ``late_from`` on."""
     num_learners: int
     num_episodes: int
+    num_steps: int
     late_from: int
     stops_when_met: bool
 
@@ -63,11 +66,13 @@ def open_book(
     run_seeds: Sequence[int],
     run_infos: Sequence[dict[str, float]],
     *,
+    num_steps: int | None = None,
     stops_when_met: bool = True,
     steady_state_episodes: int = 0,
 ) -> Book:
     """The book of runs before their first episode; the learner of that episode is already selected.
 
+    A run ends after ``num_episodes``, or with the episode in which its steps reach ``num_steps``.
     ``steady_state_episodes`` is over how many episodes before the cap the steady state is measured.
 
     Raises
@@ -105,6 +110,7 @@ def open_book(
         late_return=np.zeros(num_runs),
         num_learners=num_learners,
         num_episodes=num_episodes,
+        num_steps=ANY_STEPS if num_steps is None else num_steps,
         late_from=num_episodes - steady_state_episodes,
         stops_when_met=stops_when_met,
     )
@@ -146,7 +152,8 @@ def advance(
     book.steps[run] += length
     if episode >= book.late_from:
         book.late_return[run] += episode_return
-    if episode + 1 >= book.num_episodes or (met and book.stops_when_met):
+    is_over = episode + 1 >= book.num_episodes or book.steps[run] >= book.num_steps
+    if is_over or (met and book.stops_when_met):
         book.status[run] = FINISHED
         return
     selected = select(book.selector_parameters, book.num_learners, state, book.selector_stream[run])

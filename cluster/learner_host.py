@@ -44,6 +44,7 @@ def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -
         shard.arm.criterion,
         [run.seed for run in shard.runs],
         [world.info for world in worlds],
+        num_steps=shard.arm.num_steps,
         stops_when_met=shard.arm.stops_when_met,
         steady_state_episodes=shard.arm.steady_state_episodes,
     )

@@ -80,6 +80,8 @@ class ArmPlan:
     selector: SelectorConfig
     performance: str
     num_episodes: int
+    num_steps: int | None = None
+    """A run ends also with the episode in which its steps reach this number."""
     criterion: Criterion | None = None
     stops_when_met: bool = True
     steady_state_episodes: int = 0

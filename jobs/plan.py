@@ -164,6 +164,7 @@ def arm_plan(point: SweepPoint, arm: str) -> ArmPlan:
         selector=_selector(spec),
         performance=experiment.performance,
         num_episodes=experiment.episodes,
+        num_steps=experiment.steps,
         criterion=experiment.criterion,
         stops_when_met=experiment.stop_when_met,
         steady_state_episodes=experiment.steady_state_episodes or 0,

@@ -125,6 +125,8 @@ class Experiment(_Model):
         Number of runs; no part of the experiment's identity, so that more can be added later.
     episodes:
         Cap on the episodes of a run.
+    steps:
+        A run ends also with the episode in which its environment steps reach this number.
     variables:
         Values of which one is drawn uniformly per run; ``$name`` stands for it wherever an option may.
     sweep:
@@ -148,6 +150,7 @@ class Experiment(_Model):
     seed: Annotated[int, Field(ge=0, strict=True)] = 1234
     runs: Count = 100
     episodes: Count
+    steps: Count | None = None
     environment: EnvironmentSpec
     variables: dict[Name, Annotated[list[Any], Field(min_length=1)]] = {}
     learners: Annotated[dict[Name, LearnerSpec], Field(min_length=1)]
@@ -183,6 +186,9 @@ class Experiment(_Model):
 
     @model_validator(mode="after")
     def _enough_episodes(self) -> Experiment:
+        if self.steady_state_episodes and self.steps:
+            message = "steady_state_episodes: found it beside steps, expected a number of episodes that all runs play"
+            raise ValueError(message)
         if (self.steady_state_episodes or 0) > self.episodes:
             found = f"found {self.steady_state_episodes}, expected at most the {self.episodes} episodes of a run"
             message = f"steady_state_episodes: {found}"
