@@ -26,13 +26,13 @@ from apel.learners.deep.layers import (
     fan_in_uniform,
     glorot,
     orthogonal,
-    zeros,
 )
 from apel.learners.deep.options import Width
 from apel.learners.q_learning import OPTIONS_CONFIG
 
 _ALIGNMENT = 16
 _ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu}
+_WEIGHTS: dict[str, Initialiser] = {"orthogonal": orthogonal(math.sqrt(2.0)), "glorot": glorot}
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -50,20 +50,21 @@ class NetworkOptions:
     activation:
         After each dense layer; after convolutions it is always ReLU.
     initialisation:
-        Of the weights: orthogonal with gain √2 and zero biases, as in OpenAI Baselines, or PyTorch's default.
+        Of the weights: orthogonal with gain √2 and zero biases, as in OpenAI Baselines; Glorot's, as it has in its
+        network for DQN on Atari; or PyTorch's default.
     """
 
     hidden: tuple[Width, ...] = (64, 64)
     convolutions: tuple[tuple[Width, Width, Width], ...] = ()
     padding: Literal["same", "valid"] = "valid"
     activation: Literal["tanh", "relu"] = "tanh"
-    initialisation: Literal["orthogonal", "pytorch"] = "orthogonal"
+    initialisation: Literal["orthogonal", "glorot", "pytorch"] = "orthogonal"
 
     def linear(self, inputs: int, outputs: int) -> Linear:
         """A dense layer, initialised so."""
-        if self.initialisation == "orthogonal":
-            return Linear(inputs, outputs, orthogonal(math.sqrt(2.0)))
-        return Linear(inputs, outputs, fan_in_uniform(inputs), fan_in_uniform(inputs))
+        if self.initialisation == "pytorch":
+            return Linear(inputs, outputs, fan_in_uniform(inputs), fan_in_uniform(inputs))
+        return Linear(inputs, outputs, _WEIGHTS[self.initialisation])
 
 
 def make_body(shape: Sequence[int], options: NetworkOptions) -> tuple[Chain, int]:
@@ -104,9 +105,9 @@ def _add_convolutions(layers: list[Layer], shape: Sequence[int], options: Networ
 
 
 def _image_weights(options: NetworkOptions, channels: int, kernel: int) -> Initialiser:
-    if options.initialisation == "orthogonal":
-        return orthogonal(math.sqrt(2.0))
-    return fan_in_uniform(channels * kernel * kernel)
+    if options.initialisation == "pytorch":
+        return fan_in_uniform(channels * kernel * kernel)
+    return _WEIGHTS[options.initialisation]
 
 
 class Layout:
@@ -174,9 +175,9 @@ def _head(inputs: int, hidden: Sequence[int], outputs: int, options: NetworkOpti
 
 
 def _head_linear(inputs: int, outputs: int, options: NetworkOptions) -> Linear:
-    if options.initialisation == "orthogonal":
-        return Linear(inputs, outputs, glorot, zeros)
-    return options.linear(inputs, outputs)
+    if options.initialisation == "pytorch":
+        return options.linear(inputs, outputs)
+    return Linear(inputs, outputs, glorot)
 
 
 class ActorCritic:
