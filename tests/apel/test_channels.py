@@ -192,8 +192,14 @@ def test_evaluation_stacks_as_acting_does() -> None:
         ({}, r"channel: found None, expected one of \['number', 'picture', 'wind'\]"),
         ({"channel": "smell"}, "channel: found 'smell', expected one of"),
         ({"channel": "bonus"}, "channel: found 'bonus', expected one of"),
-        ({"channel": "wind", "reward": "number"}, r"reward: found 'number', expected one of .*\['bonus', 'life_lost'\]"),
-        ({"channel": "wind", "terminal": "death"}, "terminal: found 'death', expected one of the environment's signals"),
+        (
+            {"channel": "wind", "reward": "number"},
+            r"reward: found 'number', expected one of .*\['bonus', 'life_lost'\]",
+        ),
+        (
+            {"channel": "wind", "terminal": "death"},
+            "terminal: found 'death', expected one of the environment's signals",
+        ),
         ({"channel": "wind", "stack": 2}, "stack: found 2 for Discrete.*, expected a Box"),
         ({"channel": "picture", "exclude": ["x"]}, "exclude: found 'x'"),
     ],
@@ -232,8 +238,8 @@ def test_those_who_vote_pick_a_channel_and_no_more(field: dict[str, Any]) -> Non
     vote = make_member(LearnerConfig("voting", members=members), world(), 1, 0)
     made = world()
     assert len(vote.play(made.environment, 5, 0)) == 12
+    bad = LearnerConfig("q_learning", representation=Representation(channel="picture", **field))
     with pytest.raises(ValueError, match="found stack, reward or terminal of a learner that votes"):
-        bad = LearnerConfig("q_learning", representation=Representation(channel="picture", **field))
         make_member(LearnerConfig("voting", members=(bad,)), world(), 1, 0)
 
 

@@ -114,7 +114,7 @@ class FramePool:
 
 @njit
 def _equal(one: _Bytes, other: _Bytes) -> bool:
-    for i in range(one.shape[0]):
+    for i in range(one.shape[0]):  # noqa: SIM110 - compiled code knows no generators
         if one[i] != other[i]:
             return False
     return True

@@ -97,8 +97,7 @@ def test_what_does_not_move_on_by_one_comes_back_all_the_same() -> None:
         memory.add(runs_of(0), transitions(one, other))
         slot = (memory._added[0] - 1) % 5
         assert contents(memory, 0)[slot] == (one.tobytes(), other.tobytes())
-    kept = {pair for pair in contents(memory, 0)}
-    assert kept == {(one.tobytes(), other.tobytes()) for one, other in steps[-5:]}
+    assert set(contents(memory, 0)) == {(one.tobytes(), other.tobytes()) for one, other in steps[-5:]}
 
 
 def test_room_grows_where_every_step_is_an_episode() -> None:
