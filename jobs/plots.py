@@ -45,12 +45,33 @@ class LinePlot(_Plot):
     theory: list[Theory] = []
 
 
+class SwitchRoles(BaseModel):
+    """Which learner is better early and which late, by the arms that play each of them alone; see
+    `jobs.analysis.switch_delay`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    early: str
+    late: str
+    window: Annotated[int, Field(ge=1)] = 100
+    """Episodes over which returns are averaged and selections counted."""
+
+
 class CurvePlot(_Plot):
-    """What happens from episode to episode: mean and spread over runs, one panel per quantity."""
+    """What happens from episode to episode, or over environment steps: mean and spread over runs, one panel per
+    quantity.
+    """
 
     kind: Literal["curves"]
     panels: Annotated[list[Literal["return", "length", "concentration", "probability"]], Field(min_length=1)]
     """Concentration and probability have a line for each learner, return and length one for each arm."""
+    clock: Literal["episodes", "steps"] = "episodes"
+    """What the axis counts. Over environment steps every episode must be recorded (``record: all``)."""
+    learners_of: list[str] = []
+    """Arms whose learners are shown, a panel each, where several arms are drawn over steps."""
+    switch: SwitchRoles | None = None
+    """Over steps: mark where the learners alone cross and where ensembles of both switch, and tell the delay."""
     switch_episode: int | None = None
     """Marked by a dashed line."""
     smooth: Annotated[int, Field(ge=1)] = 1
@@ -110,7 +131,7 @@ def check_plots(
         if isinstance(plot, LinePlot):
             _check_lines(place, plot, sweep)
         if isinstance(plot, CurvePlot):
-            _check_curves(place, plot, len(plot.arms or arms))
+            _check_curves(place, plot, plot.arms or list(arms))
     names = [plot.name for plot in plots]
     for number, name in enumerate(names):
         if name in names[:number]:
@@ -131,13 +152,88 @@ def _check_lines(place: str, plot: LinePlot, sweep: Mapping[str, Any]) -> None:
             raise ValueError(message)
 
 
-def _check_curves(place: str, plot: CurvePlot, num_arms: int) -> None:
+def _check_curves(place: str, plot: CurvePlot, arms: Sequence[str]) -> None:
+    for arm in plot.learners_of:
+        _expect(f"{place}.learners_of", arm, sorted(arms))
     for panel in plot.panels:
-        if panel in ("concentration", "probability") and num_arms != 1:
-            message = f"{place}.panels: found {panel} of {num_arms} arms, expected exactly one arm"
+        if panel in ("concentration", "probability") and len(arms) != 1 and not plot.learners_of:
+            message = f"{place}.panels: found {panel} of {len(arms)} arms, expected exactly one arm"
             raise ValueError(message)
     for theory in plot.theory:
         _expect(f"{place}.theory", theory, ["growth_formula"])
+    _check_clock(place, plot)
+    if plot.switch:
+        _check_switch(f"{place}.switch", plot.switch, arms)
+
+
+def _check_clock(place: str, plot: CurvePlot) -> None:
+    of_steps = {"learners_of": plot.learners_of, "switch": plot.switch}
+    of_episodes = {"switch_episode": plot.switch_episode is not None, "theory": plot.theory}
+    wrong = of_episodes if plot.clock == "steps" else of_steps
+    for field, value in wrong.items():
+        if value:
+            other = "episodes" if plot.clock == "steps" else "steps"
+            message = f"{place}.{field}: found with clock: {plot.clock}, expected only with clock: {other}"
+            raise ValueError(message)
+
+
+def _check_switch(place: str, roles: SwitchRoles, arms: Sequence[str]) -> None:
+    for role, arm in (("early", roles.early), ("late", roles.late)):
+        _expect(f"{place}.{role}", arm, sorted(arms))
+    if roles.early == roles.late:
+        message = f"{place}.late: found {roles.late!r} in both roles, expected two different arms"
+        raise ValueError(message)
+
+
+def check_against_runs(
+    plots: Sequence[ArmPlot | LinePlot | CurvePlot], learners: Mapping[str, Sequence[str]], *, records_all: bool
+) -> None:
+    """Refuse curves over steps whose episodes are not all recorded, and switches between what are no single learners.
+
+    Parameters
+    ----------
+    plots:
+        Of one experiment, which are valid by themselves.
+    learners:
+        Of each arm that is played.
+    records_all:
+        Whether every episode is recorded.
+
+    Raises
+    ------
+    ValueError
+        The message opens with the field to be changed.
+    """
+    for number, plot in enumerate(plots):
+        if not isinstance(plot, CurvePlot):
+            continue
+        if plot.clock == "steps" and not records_all:
+            message = (
+                f"plots.{number}.clock: found steps where not every episode is recorded, expected record: all, "
+                "or clock: episodes"
+            )
+            raise ValueError(message)
+        if plot.switch:
+            check_roles(f"plots.{number}.switch", plot.switch, learners)
+
+
+def check_roles(place: str, roles: SwitchRoles, learners: Mapping[str, Sequence[str]]) -> None:
+    """Refuse roles of arms that are not there, or are no single learner, or that no ensemble holds together.
+
+    Raises
+    ------
+    ValueError
+        The message opens with ``place``.
+    """
+    for role, arm in (("early", roles.early), ("late", roles.late)):
+        _expect(f"{place}.{role}", arm, sorted(learners))
+        if len(learners[arm]) != 1:
+            message = f"{place}.{role}: found {arm!r} of {len(learners[arm])} learners, expected an arm of a single one"
+            raise ValueError(message)
+    both = {learners[roles.early][0], learners[roles.late][0]}
+    if len(both) < 2 or not any(both <= set(names) for names in learners.values()):
+        message = f"{place}: found no ensemble of {' and '.join(sorted(both))}, expected one with both learners"
+        raise ValueError(message)
 
 
 def _expect(place: str, name: str, known: Sequence[str]) -> None:

@@ -16,6 +16,7 @@ from cluster.checkpoint import CheckpointError, pack, unpack
 from cluster.learner_host import make_run_world
 from cluster.shard import ArmPlan, RunPlan
 from jobs.plan import SweepPoint, arm_plan, arm_points, draw_variables, run_plan
+from jobs.plots import check_against_runs
 from jobs.spec import Experiment
 from jobs.yaml_source import SpecError
 
@@ -38,6 +39,7 @@ def check(experiment: Experiment, arms: Collection[str] | None = None) -> None:
             message = f"--arms: found {name!r}, expected some of {', '.join(experiment.arms)}"
             raise SpecError(message)
     _check_hindsight(experiment)
+    _check_plots(experiment)
     for point, arm in arm_points(experiment, arms):
         for index, seed in _distinct_runs(point.experiment):
             _check_run(point, arm, index, seed)
@@ -54,6 +56,16 @@ def _check_hindsight(experiment: Experiment) -> None:
             place = experiment.where("hindsight", name)
             message = f"{place}: found {found} sweep points, expected arms that are played at the same ones"
             raise SpecError(message)
+
+
+def _check_plots(experiment: Experiment) -> None:
+    """Figures that need what an experiment does not record would be missed when all is played."""
+    learners = {arm: spec.learner_names for arm, spec in experiment.arms.items()}
+    try:
+        check_against_runs(experiment.plots, learners, records_all=experiment.record == "all")
+    except ValueError as error:
+        message = f"{experiment.where('plots')}{str(error).removeprefix('plots')}"
+        raise SpecError(message) from error
 
 
 def _distinct_runs(experiment: Experiment) -> list[tuple[int, int]]:

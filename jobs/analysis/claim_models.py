@@ -5,17 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from importlib import resources
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from jobs.analysis import claim_statistics
-from jobs.analysis.claim_samples import Selection
+from jobs.analysis.claim_selection import Selection
+from jobs.plots import SwitchRoles
 from jobs.yaml_source import Source, SpecError, parse
 
 _NUM_ARMS = {"mean": 1, "deviation": 1, "share": 1, "difference": 2, "ratio": 2, "deviation_ratio": 2}
 _OF_EPISODES = {"return", "length", "concentration", "probability", "performance_estimate"}
 _PER_LEARNER = {"concentration", "probability", "performance_estimate"}
+SWITCH_METRICS = {"switch_delay", "switch_delay_steps", "switch_delay_share"}
+"""In episodes, in environment steps, and as a share of the run's episodes; see `jobs.analysis.switch_delay`."""
+
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class _Model(BaseModel):
@@ -59,6 +66,11 @@ class Statistic(_Model):
     learner: Annotated[int, Field(ge=0)] | None = None
     episodes: list[tuple[int, int]] | EpisodeRange | None = None
     """Of what is recorded by episode: the mean over each window, first and last episode included."""
+    parts: list[tuple[Share, Share]] = []
+    """The same over parts of each run's environment steps: the mean over the episodes that end in them, ``[0.9, 1]``
+    for the last tenth."""
+    switch: SwitchRoles | None = None
+    """Of a switch delay: which arm's learner is better early, and which late."""
 
     @property
     def windows(self) -> list[tuple[int, int]]:
@@ -71,16 +83,19 @@ class Statistic(_Model):
     def selection(self) -> Selection:
         """The rows it is computed of."""
         return Selection(
-            self.metric, self.arms, self.where, self.axis, self.values, self.pool, self.learner, self.windows
-        )
+            self.metric, self.arms, self.where, self.axis, self.values, self.pool, self.learner, self.windows,
+            self.parts, self.switch,
+        )  # fmt: skip
 
     @model_validator(mode="after")
     def _is_complete(self) -> Statistic:
         against_theory = self.of in claim_statistics.AGAINST_THEORY
-        has_axis = self.axis is not None or len(self.windows) > 1
+        windows = self.windows or self.parts
+        has_axis = self.axis is not None or len(windows) > 1
         needed = _NUM_ARMS.get(self.of, 3 if (self.theory or "").startswith("performance") else 1)
-        edges = [edge for window in self.windows for edge in window]
-        inside = [(a, b) for (_, a), (b, _) in zip(self.windows, self.windows[1:], strict=False)]
+        edges = [edge for window in windows for edge in window]
+        inside = [(a, b) for (_, a), (b, _) in pairwise(windows)]
+        is_between = any(a > b if self.parts else a >= b for a, b in inside)
         for is_wrong, message in (
             (len(self.arms) != needed, f"arms: found {len(self.arms)}, expected {needed} for {self.of}"),
             (self.over not in claim_statistics.SUMMARIES, _expected("over", self.over, claim_statistics.SUMMARIES)),
@@ -90,12 +105,20 @@ class Statistic(_Model):
                 _expected("theory", self.theory, claim_statistics.THEORIES),
             ),
             ((self.of == "share") != (self.below is not None or self.censored), "below, censored: expected for share"),
-            (bool(self.windows) != (self.metric in _OF_EPISODES), f"episodes: expected for {sorted(_OF_EPISODES)}"),
+            (
+                bool(windows) != (self.metric in _OF_EPISODES),
+                f"episodes: expected for {sorted(_OF_EPISODES)}, or parts",
+            ),
+            (bool(self.windows and self.parts), "parts: found beside episodes, expected one of them"),
+            (
+                (self.switch is not None) != (self.metric in SWITCH_METRICS),
+                f"switch: expected for {sorted(SWITCH_METRICS)}",
+            ),
             ((self.learner is not None) != (self.metric in _PER_LEARNER), "learner: expected for lists by learner"),
             (has_axis == (self.over == "only") and self.of != "share", "over: expected with an axis, and only then"),
-            (self.axis is not None and len(self.windows) > 1, "axis: found with several windows, expected one of them"),
+            (self.axis is not None and len(windows) > 1, "axis: found with several windows, expected one of them"),
             (
-                edges != sorted(edges) or any(a >= b for a, b in inside),
+                edges != sorted(edges) or is_between,
                 "episodes: expected windows in order that do not overlap",
             ),
         ):
@@ -107,12 +130,15 @@ class Statistic(_Model):
         metric = f"{self.metric}[{self.learner}]" if self.learner is not None else self.metric
         condition = [f"below {self.below:g}"] if self.below is not None else []
         condition += ["censored"] if self.censored else []
-        axis = self.axis or "episode"
+        axis = self.axis or ("part" if self.parts else "episode")
+        parts_of_run = ", ".join(f"{low * 100:g} to {high * 100:g} %" for low, high in self.parts)
         places = f" at {', '.join(map(str, self.values))}" if self.values else ""
         parts = [
             f"{'median ' if self.location == 'median' else ''}{self.of} of {metric}: {', '.join(self.arms)}",
             " or ".join(condition),
             f"{self.theory}" if self.theory else "",
+            f"{parts_of_run} of the steps" if self.parts else "",
+            f"{self.switch.early} to {self.switch.late}" if self.switch else "",
             f"{self.over} over {axis}{places}" if self.over != "only" else "",
             ", ".join(f"{column} = {value}" for column, value in self.where.items()),
         ]

@@ -9,38 +9,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
-import pyarrow.dataset as ds
 from numpy.typing import NDArray
 
+from jobs.analysis.claim_episodes import of_episodes
+from jobs.analysis.claim_selection import MissingError, Selection, UnknownNameError
 from jobs.analysis.claim_statistics import Sample
+from jobs.plots import check_roles
 from jobs.spec import Experiment
 from jobs.store import ResultStore
-
-WINDOW = "window"
-"""The axis of a claim on several windows of episodes."""
-
-
-class MissingError(Exception):
-    """The results that a claim needs are not there (yet)."""
-
-
-class UnknownNameError(Exception):
-    """A claim names what its experiment does not have."""
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which rows, side by side: see `jobs.analysis.claims.Statistic` for the fields."""
-
-    metric: str
-    arms: Sequence[str]
-    where: dict[str, Any]
-    axis: str | None = None
-    values: Sequence[Any] | None = None
-    pool: Sequence[str] = ()
-    learner: int | None = None
-    windows: Sequence[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True)
@@ -85,10 +61,9 @@ class Results:
         """
         self._expect_known(selection)
         frame = self.runs[self.runs["arm"].isin(selection.arms)]
-        axis = selection.axis
-        if selection.windows:
-            frame = self._windows(frame, selection)
-            axis = axis or (WINDOW if len(selection.windows) > 1 else None)
+        axis = selection.axis or selection.implied_axis
+        if not selection.is_of_runs:
+            frame = self._with_episodes(frame, selection)
         for column, value in selection.where.items():
             if column in frame:
                 frame = frame[(frame[column] == value) | frame[column].isna()]
@@ -108,7 +83,7 @@ class Results:
         arms = [*experiment.arms, *experiment.hindsight]
         known = {*self.runs.columns, *experiment.sweep, *experiment.variables}
         columns = [*selection.where, *selection.pool, *([selection.axis] if selection.axis else [])]
-        columns += [] if selection.windows else [selection.metric]
+        columns += [selection.metric] if selection.is_of_runs else []
         for kind, names, expected in (("arm", selection.arms, arms), ("column", columns, sorted(known))):
             for name in names:
                 if name not in expected:
@@ -154,29 +129,21 @@ class Results:
         sample = Sample(values.reshape(shape), np.array(axis, dtype=np.float64), num_learners)
         return Selected(sample, censored.reshape(shape))
 
-    def _windows(self, frame: Any, selection: Selection) -> Any:
-        """The run rows, once per window, with the mean over the recorded episodes in it."""
-        parts = [self._episodes(arm, selection) for arm in selection.arms]
-        found = pd.concat(parts, ignore_index=True)
-        return frame.merge(found, on=["arm", "sweep", "run_index"], suffixes=("", "_of_run"))
-
-    def _episodes(self, arm: str, selection: Selection) -> Any:
-        folder = self.store.folder
-        if not folder.exists(f"episodes/arm={arm}"):
-            raise MissingError(_missing(self, f"no recorded episodes of {arm}"))
-        rows = ds.dataset(folder.path(f"episodes/arm={arm}"), filesystem=folder.filesystem, format="parquet")
-        first, last = selection.windows[0][0], selection.windows[-1][1]
-        within = (ds.field("episode") >= first) & (ds.field("episode") <= last)
-        table = rows.to_table(["sweep", "run_index", "episode", selection.metric], filter=within)
-        values = table[selection.metric]
-        if selection.learner is not None:
-            values = pc.list_element(values, selection.learner)
-        episode = table["episode"].to_numpy()
-        starts, ends = (np.array(edge) for edge in zip(*selection.windows, strict=True))
-        window = np.searchsorted(starts, episode, side="right") - 1
-        frame = table.select(["sweep", "run_index"]).to_pandas()
-        frame = frame.assign(**{WINDOW: starts[window], selection.metric: values.to_numpy()})[episode <= ends[window]]
-        return frame.groupby(["sweep", "run_index", WINDOW], as_index=False)[selection.metric].mean().assign(arm=arm)
+    def _with_episodes(self, frame: Any, selection: Selection) -> Any:
+        """The run rows with what their recorded episodes say; once per window where there are several."""
+        learners = {arm: spec.learner_names for arm, spec in self.experiment.arms.items()}
+        if selection.switch:
+            try:
+                check_roles("switch", selection.switch, learners)
+            except ValueError as error:
+                raise UnknownNameError(str(error)) from error
+        points = list(self.runs[["arm", "sweep"]].drop_duplicates().itertuples(index=False, name=None))
+        try:
+            found = of_episodes(self.store.folder, selection, points, learners)
+        except MissingError as error:
+            raise MissingError(_missing(self, str(error))) from error
+        own = [name for name in frame.columns if name in found.columns and name not in ("arm", "sweep", "run_index")]
+        return frame.drop(columns=own).merge(found, on=["arm", "sweep", "run_index"])
 
 
 def _points(results: Results, frame: Any, axis: str | None, selection: Selection) -> Sequence[Any]:

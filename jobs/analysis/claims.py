@@ -19,8 +19,9 @@ from pyarrow import fs
 from cluster.storage import joined, redacted
 from jobs.analysis import claim_statistics
 from jobs.analysis.bootstrap import Estimate
-from jobs.analysis.claim_models import Claim, Statistic, read_claims, shipped_claims
-from jobs.analysis.claim_samples import MissingError, Results, UnknownNameError
+from jobs.analysis.claim_models import SWITCH_METRICS, Claim, Statistic, read_claims, shipped_claims
+from jobs.analysis.claim_samples import Results
+from jobs.analysis.claim_selection import MissingError, UnknownNameError
 from jobs.store import ResultStore, StoreError
 from jobs.yaml_source import SpecError
 
@@ -34,7 +35,7 @@ MIN_RUNS = 5
 
 Ruling = Literal["holds", "fails", "undecided", "missing"]
 RULINGS: tuple[Ruling, ...] = ("holds", "fails", "undecided", "missing")
-_TIMES = {"train_time", "adaptation_time"}
+_TIMES = {"train_time", "adaptation_time", *SWITCH_METRICS}
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from cluster.storage import Folder
-from jobs.analysis.plotting import arm_plots, curve_plots, line_plots, pictures, style
+from jobs.analysis.plotting import arm_plots, curve_plots, line_plots, pictures, step_plots, style
+from jobs.analysis.plotting.switch_marks import Marks, marks_of
+from jobs.analysis.recorded import IncompleteError
+from jobs.analysis.switch_runs import SwitchData
+from jobs.analysis.switch_table import switch_table
 from jobs.plots import ArmPlot, CurvePlot, LinePlot, Plot
 from jobs.spec import Experiment, Gallery
 from jobs.store import ResultStore
+from jobs.yaml_source import SpecError
 
 _DEFAULT: tuple[Plot, ...] = (
     ArmPlot(kind="bars", name="train_time"),
@@ -19,16 +24,23 @@ _DEFAULT: tuple[Plot, ...] = (
 def draw_figures(store: ResultStore, experiment: Experiment) -> list[str]:
     """Draw the plots of an experiment, or its train times where it names none; returns where the files are.
 
-    A plot of which the results hold nothing (no episodes recorded, arms not yet played) is left out.
+    A plot of which the results hold nothing (no episodes recorded, arms not yet played) is left out. Beside one that
+    marks switches stand two tables: ``…_switch.csv`` of all runs, ``…_switch_runs.csv`` of each.
+
+    Raises
+    ------
+    SpecError
+        If a plot is over environment steps, and not every episode was recorded.
     """
     runs = store.runs()
     plots = experiment.plots or (list(_DEFAULT) if experiment.criterion else [])
     written = []
     for plot in plots:
-        with style.pyplot() as plt:
-            figure = _draw(plt, store, runs, plot, experiment)
-            if figure is not None:
-                written += style.save(store.folder, figure, f"figures/{plot.name}")
+        try:
+            written += _write_plot(store, runs, plot, experiment)
+        except IncompleteError as error:
+            message = f"{experiment.name}: figure {plot.name} over steps: {error}"
+            raise SpecError(message) from error
     return written
 
 
@@ -41,8 +53,42 @@ def draw_gallery(gallery: Gallery, folder: Folder) -> list[str]:
     return written
 
 
-def _draw(plt: Any, store: ResultStore, runs: Any, plot: Plot, experiment: Experiment) -> Any:
+def _write_plot(store: ResultStore, runs: Any, plot: Plot, experiment: Experiment) -> list[str]:
+    marks: Marks | None = None
+    tables: dict[str, Any] = {}
+    if isinstance(plot, CurvePlot) and plot.switch:
+        marks, tables = _switches(store, runs, plot, experiment)
+    with style.pyplot() as plt:
+        figure = _draw(plt, store, runs, plot, experiment, marks)
+        if figure is None:
+            return []
+        written = style.save(store.folder, figure, f"figures/{plot.name}")
+    for name, table in tables.items():
+        store.folder.write(name, table.to_csv(index=False, float_format="%.10g").encode())
+        written.append(store.folder.location(name))
+    return written
+
+
+def _switches(
+    store: ResultStore, runs: Any, plot: CurvePlot, experiment: Experiment
+) -> tuple[Marks | None, dict[str, Any]]:
+    """Marks, and tables by file name; nothing where no run has the learners alone and an ensemble of them."""
+    learners = {arm: spec.learner_names for arm, spec in experiment.arms.items()}
+    points = step_plots.points_of(runs, plot, experiment)
+    data = SwitchData(store.folder, points, learners, plot.switch) if plot.switch else None
+    if data is None or (rows := data.rows()).empty:
+        return None, {}
+    tables = {"switch": switch_table(rows, data), "switch_runs": rows}
+    named = {f"figures/{plot.name}_{kind}.csv": table for kind, table in tables.items()}
+    return marks_of(data, rows, experiment), named
+
+
+def _draw(
+    plt: Any, store: ResultStore, runs: Any, plot: Plot, experiment: Experiment, marks: Marks | None = None
+) -> Any:
     if isinstance(plot, CurvePlot):
+        if plot.clock == "steps":
+            return step_plots.draw(plt, store.folder, runs, plot, experiment, marks)
         return curve_plots.draw(plt, store.folder, runs, plot, experiment)
     if isinstance(plot, LinePlot):
         return line_plots.draw(plt, runs, plot, experiment)

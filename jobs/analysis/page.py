@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 import re
 import zlib
 from collections.abc import Iterable, Mapping
@@ -10,6 +12,7 @@ from string import Template
 from typing import Any
 
 from jobs.analysis.results_table import results_table
+from jobs.analysis.switch_table import HEADINGS, cells
 from jobs.manifest import arm_timings
 from jobs.spec import Experiment
 from jobs.store import ResultStore
@@ -93,10 +96,26 @@ def sessions(manifest: Mapping[str, Any]) -> str:
 
 
 def pictures(store: ResultStore, experiment: Experiment) -> list[str]:
-    """The figures of an experiment, inline."""
-    names = [name for name in store.folder.names("figures") if name.endswith(".svg")]
-    svgs = [store.folder.read(f"figures/{name}").decode() for name in names]
-    return [inline_svg(svg, f"{experiment.name}/{name}") for svg, name in zip(svgs, names, strict=True)]
+    """The figures of an experiment, inline, each with the switch delays that belong to it."""
+    files = store.folder.names("figures")
+    shown = []
+    for name in (file for file in files if file.endswith(".svg")):
+        svg = store.folder.read(f"figures/{name}").decode()
+        shown.append(inline_svg(svg, f"{experiment.name}/{name}"))
+        delays = f"{name.removesuffix('.svg')}_switch.csv"
+        if delays in files:
+            shown.append(_switches(store.folder.read(f"figures/{delays}").decode()))
+    return shown
+
+
+def _switches(text: str) -> str:
+    """The table of switch delays, from its CSV file."""
+    caption = (
+        "Switch delays: from where the late learner alone overtakes the early one for good to where the ensemble comes "
+        "to select it most of the time; medians and means with bootstrap intervals, pairs run by run. A run that never "
+        "switches is censored, and counts with what was left of it: a lower bound."
+    )
+    return table(HEADINGS, cells(list(csv.DictReader(io.StringIO(text)))), caption)
 
 
 def inline_svg(svg: str, key: str) -> str:

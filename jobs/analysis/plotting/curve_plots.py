@@ -7,51 +7,26 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.dataset as ds
 
 from apel.theory import closed_forms
 from cluster.storage import Folder
 from jobs.analysis.bootstrap import Floats
 from jobs.analysis.plotting import style
 from jobs.analysis.plotting.samples import selected
+from jobs.analysis.recorded import Curves, moving_mean, read_curves
 from jobs.plots import CurvePlot
 from jobs.spec import Experiment
 
-_Y_LABELS = {
+Y_LABELS = {
     "return": "return",
     "length": "episode length (steps)",
     "concentration": "concentration α",
     "probability": "selection probability",
 }
-_PER_LEARNER = ("concentration", "probability")
-_LEARNER_COLOURS = ("#0072B2", "#D55E00", *style.COLOURS)
+PER_LEARNER = ("concentration", "probability")
+LEARNER_COLOURS = ("#0072B2", "#D55E00", *style.COLOURS)
 _LEAST_SHARE = 0.5
 _FEW_POINTS = 30
-
-
-class _Curves:
-    """Recorded episodes of an arm at a sweep point: ``float64[runs, episodes(, learners)]`` by quantity."""
-
-    def __init__(self, table: pa.Table) -> None:
-        runs, row = np.unique(table["run_index"].to_numpy(), return_inverse=True)
-        self.episodes, column = np.unique(table["episode"].to_numpy(), return_inverse=True)
-        self.num_runs = len(runs)
-        self._place = (row, column)
-        self._table = table
-
-    def values(self, quantity: str) -> Floats:
-        """NaN where a run has ended, or where nothing is known."""
-        chunks = self._table[quantity].combine_chunks()
-        shape: tuple[int, ...] = (self.num_runs, len(self.episodes))
-        numbers = chunks
-        if pa.types.is_list(chunks.type):
-            numbers = chunks.flatten()
-            shape = (*shape, len(numbers) // len(chunks))
-        found = np.full(shape, np.nan)
-        rows = numbers.to_numpy(zero_copy_only=False).astype(np.float64)
-        found[self._place] = rows.reshape(-1, *shape[2:])
-        return found
 
 
 def draw(plt: Any, folder: Folder, runs: Any, plot: CurvePlot, experiment: Experiment) -> Any:
@@ -59,19 +34,18 @@ def draw(plt: Any, folder: Folder, runs: Any, plot: CurvePlot, experiment: Exper
     frame = selected(runs, plot, experiment)
     curves = {}
     for (arm, sweep), _ in frame.groupby(["arm", "sweep"], sort=False):
-        table = _read(folder, arm, sweep, plot)
-        if table is not None and len(table):
-            curves[arm, sweep] = _Curves(table)
+        if found := read_curves(folder, arm, sweep, plot.panels):
+            curves[arm, sweep] = found
     if not curves:
         return None
     count = len(plot.panels)
     figure, all_axes = plt.subplots(count, 1, figsize=(6.6, 1.6 + 2.2 * count), sharex=True, squeeze=False)
     for axes, quantity in zip(all_axes[:, 0], plot.panels, strict=True):
-        if quantity in _PER_LEARNER:
+        if quantity in PER_LEARNER:
             _learners(axes, curves, quantity, plot, experiment)
         else:
             _arms(axes, curves, quantity, plot, experiment)
-        axes.set_ylabel(_Y_LABELS[quantity])
+        axes.set_ylabel(Y_LABELS[quantity])
         if plot.switch_episode is not None:
             axes.axvline(plot.switch_episode, color=style.GREY, linestyle="--", linewidth=1)
     axes.set_xlabel("episode" if plot.switch_episode is None else f"episode (dashed: switch at {plot.switch_episode})")
@@ -80,16 +54,7 @@ def draw(plt: Any, folder: Folder, runs: Any, plot: CurvePlot, experiment: Exper
     return figure
 
 
-def _read(folder: Folder, arm: str, sweep: str, plot: CurvePlot) -> Any:
-    """Only the columns that are drawn."""
-    place = f"episodes/arm={arm}"
-    if not folder.exists(place):
-        return None
-    files = ds.dataset(folder.path(place), format="parquet", filesystem=folder.filesystem)
-    return files.to_table(["run_index", "episode", *plot.panels], filter=ds.field("sweep") == sweep)
-
-
-def _finish(figure: Any, all_axes: Any, curves: dict[Any, _Curves], plot: CurvePlot, experiment: Experiment) -> None:
+def _finish(figure: Any, all_axes: Any, curves: dict[Any, Curves], plot: CurvePlot, experiment: Experiment) -> None:
     num_runs = max(each.num_runs for each in curves.values())
     smooth = f", moving mean of {plot.smooth} recorded episodes" if plot.smooth > 1 else ""
     how = f"mean of {num_runs} runs (line) ± SD (shaded){smooth}"
@@ -102,7 +67,7 @@ def _finish(figure: Any, all_axes: Any, curves: dict[Any, _Curves], plot: CurveP
     style.title(figure, plot.title or experiment.title or experiment.name, how)
 
 
-def _arms(axes: Any, curves: dict[Any, _Curves], quantity: str, plot: CurvePlot, experiment: Experiment) -> None:
+def _arms(axes: Any, curves: dict[Any, Curves], quantity: str, plot: CurvePlot, experiment: Experiment) -> None:
     palette = style.colours(experiment)
     centres = []
     for number, ((arm, sweep), each) in enumerate(curves.items()):
@@ -115,12 +80,12 @@ def _arms(axes: Any, curves: dict[Any, _Curves], quantity: str, plot: CurvePlot,
     axes.set_ylim(low - margin, high + margin)
 
 
-def _learners(axes: Any, curves: dict[Any, _Curves], quantity: str, plot: CurvePlot, experiment: Experiment) -> None:
+def _learners(axes: Any, curves: dict[Any, Curves], quantity: str, plot: CurvePlot, experiment: Experiment) -> None:
     (arm, sweep), each = next(iter(curves.items()))
     values = each.values(quantity)
-    names = _numbered(experiment.arms[arm].learner_names)
+    names = numbered(experiment.arms[arm].learner_names)
     for position, name in enumerate(names):
-        colour = _LEARNER_COLOURS[position % len(_LEARNER_COLOURS)]
+        colour = LEARNER_COLOURS[position % len(LEARNER_COLOURS)]
         _line(axes, each, values[..., position], plot, name, colour, position)
     if quantity == "probability":
         axes.set_ylim(0, 1)
@@ -131,7 +96,7 @@ def _learners(axes: Any, curves: dict[Any, _Curves], quantity: str, plot: CurveP
             _growth(axes, each.episodes, float(decay), plot.switch_episode)
 
 
-def _numbered(names: list[str]) -> list[str]:
+def numbered(names: list[str]) -> list[str]:
     """Learners that are there several times get a number."""
     seen: Counter[str] = Counter()
     numbered = []
@@ -154,9 +119,9 @@ def _growth(axes: Any, episodes: Any, nu: float, switch: int | None) -> None:
     axes.plot(episodes, closed_forms.incremented_concentration(nu, since), **look)
 
 
-def _line(axes: Any, each: _Curves, values: Floats, plot: CurvePlot, label: str, colour: str, number: int) -> Floats:
+def _line(axes: Any, each: Curves, values: Floats, plot: CurvePlot, label: str, colour: str, number: int) -> Floats:
     """Mean and spread where at least half of the runs still go on; returns the means."""
-    values = _smoothed(values, plot.smooth)
+    values = moving_mean(values, plot.smooth)
     known = np.isfinite(values).sum(axis=0)
     shown = known >= max(1, math.ceil(_LEAST_SHARE * each.num_runs))
     values, episodes = values[:, shown], each.episodes[shown]
@@ -170,15 +135,3 @@ def _line(axes: Any, each: _Curves, values: Floats, plot: CurvePlot, label: str,
         markevery=1 if len(episodes) <= _FEW_POINTS else (number * every // 8, every), label=label,
     )  # fmt: skip
     return mean
-
-
-def _smoothed(values: Floats, width: int) -> Floats:
-    """Mean of each run's last ``width`` values; of fewer at its beginning."""
-    if width == 1:
-        return values
-    total = np.cumsum(np.nan_to_num(values), axis=1)
-    number = np.cumsum(np.isfinite(values), axis=1).astype(np.float64)
-    for sums in (total, number):
-        sums[:, width:] -= sums[:, :-width].copy()
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(np.isfinite(values), total / number, np.nan)

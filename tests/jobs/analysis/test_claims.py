@@ -25,6 +25,7 @@ from jobs.analysis.claims import (
 )
 from jobs.cli import app
 from jobs.plan import arm_points
+from jobs.plots import check_roles
 from jobs.spec_files import load_experiment, shipped_experiments
 from jobs.store import ResultStore, StoreError
 from jobs.yaml_source import SpecError
@@ -269,3 +270,8 @@ def test_shipped_claims_name_what_is_shipped() -> None:
         if statistic.windows:
             assert statistic.windows[-1][1] < experiment.episodes, one.id
             assert experiment.record != "none", one.id
+        if statistic.parts or statistic.switch:
+            assert experiment.record == "all", one.id
+        if statistic.switch:
+            learners = {arm: spec.learner_names for arm, spec in experiment.arms.items()}
+            check_roles(one.id, statistic.switch, learners)

@@ -12,8 +12,8 @@ from PIL import Image
 
 from cluster.storage import Folder
 from jobs.analysis.figures import draw_figures, draw_gallery
-from jobs.analysis.plotting.curve_plots import _smoothed
 from jobs.analysis.plotting.samples import samples, selected
+from jobs.analysis.recorded import moving_mean
 from jobs.plots import ArmPlot
 from jobs.runner import Settings, run_experiment
 from jobs.spec import Experiment, Gallery
@@ -157,7 +157,7 @@ def test_rows_are_picked_and_ordered(tmp_path: Path) -> None:
 def test_moving_mean_is_of_each_run() -> None:
     """Of the last values, fewer at the beginning; what is unknown stays so and does not count."""
     values = np.array([[1.0, 3.0, 5.0, 7.0], [2.0, np.nan, 4.0, 8.0]])
-    np.testing.assert_array_equal(_smoothed(values, 2), [[1.0, 2.0, 4.0, 6.0], [2.0, np.nan, 4.0, 6.0]])
+    np.testing.assert_array_equal(moving_mean(values, 2), [[1.0, 2.0, 4.0, 6.0], [2.0, np.nan, 4.0, 6.0]])
 
 
 def test_galleries_are_drawn(tmp_path: Path) -> None:
