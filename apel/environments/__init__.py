@@ -20,3 +20,16 @@ gymnasium.register(
     reward_threshold=195.0,
     order_enforce=False,
 )
+
+# Each game is imported where it is made, with packages that not everybody installs. Both limit their episodes, and
+# refuse steps outside of them, themselves.
+gymnasium.register(
+    id="apel/AtariBreakout-v0",
+    entry_point="apel.environments.breakout.atari:AtariBreakout",
+    order_enforce=False,
+)
+gymnasium.register(
+    id="apel/MinAtarBreakout-v0",
+    entry_point="apel.environments.breakout.minatar:MinAtarBreakout",
+    order_enforce=False,
+)

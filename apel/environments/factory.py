@@ -64,16 +64,18 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
         message = f"{config.id}: found the action space {environment.action_space}, expected a Discrete one"
         raise ValueError(message)
     model = _model(config, environment)
+    signals = signals_of(environment)
     if model is not None and not isinstance(environment.unwrapped, HasFiniteModel):
         environment = FiniteEnvironment(model)
-    elif (signals := signals_of(environment)) is not None:
+    elif signals is not None:
         environment = ChannelledEnvironment(environment, signals)
     elif not isinstance(environment.observation_space, _PLAIN_SPACES):
         environment = FlattenObservation(environment)
     key = make_key(run_seed, Role.ENVIRONMENT)
     _, info = environment.reset(seed=episode_seed(np.uint64(key), 0))
     numbers = {name: value.item() if isinstance(value, np.generic) else value for name, value in info.items()}
-    numbers = {name: value for name, value in numbers.items() if type(value) in (int, float)}
+    of_steps = signals or ()
+    numbers = {k: v for k, v in numbers.items() if type(v) in (int, float) and k not in of_steps}
     return World(environment, model, key, numbers, model.features if model else None)
 
 

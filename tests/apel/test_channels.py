@@ -48,6 +48,7 @@ def witnesses(*representations: Representation, **options: Any) -> tuple[list[Wi
 def test_entries_hold_every_channel_and_signal_in_few_bytes() -> None:
     """A step is one element: 2 × 2 bytes, two numbers below 256, two signals of four bytes."""
     made = world()
+    assert made.info == {}  # signals are of steps, not of runs
     space = made.environment.observation_space
     assert isinstance(space, ChannelSpace)
     assert space.entry_type.names == ("number", "picture", "wind", "bonus", "life_lost")
