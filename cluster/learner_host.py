@@ -69,9 +69,15 @@ class LearnerHost:
     The host keeps its own copy of the book. While it plays a streak the book says how long the streak lasts; the
     episodes that other hosts played it learns from, and takes into its book, at the beginning of the next round. The
     delay changes nothing: before it acts in a run again it has learned from everything that happened there.
+
+    Parameters
+    ----------
+    records:
+        Answer with trajectories also where there is no other learner that needs them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, records: bool = False) -> None:
+        self._records = records
         self._bank: LearnerBank
         self._book: Book
         self._selector: Selector
@@ -106,7 +112,7 @@ class LearnerHost:
             evaluates=criterion is not None and criterion.evaluation == "greedy",
         )
         self._index = index
-        self._record = bool(others)
+        self._record = self._records or bool(others)
         # A learner alone sends no trajectories, only a few numbers per episode: its messages can be rarer.
         scale = 1 if self._record else _SOLO_STREAK_SCALE
         self._most_steps, self._round_seconds = scale * execution.streak_steps, execution.round_seconds

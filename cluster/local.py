@@ -20,15 +20,16 @@ from cluster.shard import ArmPlan, Execution, RunPlan, Shard
 
 
 class LocalHosts:
-    """Hosts in this process, called one after the other."""
+    """Hosts in this process, called one after the other; for ``records`` see `LearnerHost`."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, records: bool = False) -> None:
+        self._records = records
         self._hosts: list[LearnerHost] = []
         self._last: list[TrajectoryBatch | None] = []
 
     def prepare(self, shard: Shard, execution: Execution, states: Sequence[State] | None) -> None:
         """See `cluster.coordinator.Hosts`."""
-        self._hosts = [LearnerHost() for _ in shard.arm.learner_names]
+        self._hosts = [LearnerHost(records=self._records) for _ in shard.arm.learner_names]
         self._last = [None] * len(self._hosts)
         for index, host in enumerate(self._hosts):
             host.prepare(shard, index, execution, states[index] if states is not None else None)
@@ -38,6 +39,10 @@ class LocalHosts:
         answers = [host.play(orders[i], *self._others(i)) for i, host in enumerate(self._hosts)]
         self._last = [batch for _, batch in answers]
         return [played for played, _ in answers]
+
+    def latest(self) -> list[TrajectoryBatch | None]:
+        """What each host played in the last round; None where that was nothing, or where nobody records it."""
+        return list(self._last)
 
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
         """See `cluster.coordinator.Hosts`."""

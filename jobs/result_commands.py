@@ -1,9 +1,12 @@
-"""The commands that read results: show, figures, claims, design. Nothing is computed, and no Ray is needed."""
+"""The commands that read results: show, figures, claims, design, watch. No Ray is needed, and nothing is computed, but
+for `watch`, which plays one run again.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,7 +17,7 @@ from jobs.analysis.report import write_report
 from jobs.spec import Experiment
 from jobs.spec_files import Group, shipped_galleries
 from jobs.store import ResultStore
-from jobs.terminal import summary_table
+from jobs.terminal import episode_bar, summary_table
 
 if TYPE_CHECKING:
     from jobs.analysis.claims import Verdict
@@ -24,9 +27,9 @@ _out = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 
 def add_to(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    commands: dict[str, Callable[..., None]] = {"show": show, "figures": figures, "claims": claims, "design": design}
-    for name, function in commands.items():
-        app.command(name)(function)
+    commands: tuple[Callable[..., None], ...] = (show, figures, claims, design, watch)
+    for function in commands:
+        app.command(function.__name__)(function)
 
 
 def show(results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")]) -> None:
@@ -86,6 +89,51 @@ def design(
     _out.print(design_table(rows))
     for line in advice(rows, learners):
         _out.print(line, highlight=False)
+
+
+def watch(
+    results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")],
+    arm: Annotated[str | None, typer.Option(help="Default: the first with several learners.")] = None,
+    sweep: Annotated[str | None, typer.Option(metavar="LABEL", help="Sweep point. Default: the first.")] = None,
+    run: Annotated[int, typer.Option(min=0, help="Which of the arm's runs.")] = 0,
+    episode: Annotated[
+        int | None, typer.Option(help="From 0; counted from the end where negative. Default: the run's last.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="A .gif, or an .mp4. Default: ARM-runRUN-episodeEPISODE.gif, here."),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=1.0, max=50.0, help="Pictures per second. Default: the environment's, up to 30.")
+    ] = None,
+    max_frames: Annotated[int, typer.Option(min=2, help="Of a longer episode every n-th step is shown.")] = 500,
+) -> None:
+    """Film one episode of a trained ensemble.
+
+    Results hold no learners, but a run is the same whenever it is played: it is played again, here and without Ray.
+
+    That takes as long as the run took up to that episode, with deep learners minutes; a bar shows how far it is.
+
+    The replay is held against the stored episodes; the results are left as they are.
+    """
+    from cluster.local import compile_for, not_compiled
+    from jobs.scenes import Wish, find_scene
+    from jobs.watching import FilmOptions, film_scene
+
+    store = ResultStore.at(results)
+    scene = find_scene(store, Wish(arm, sweep, run, episode))
+    if not_compiled([scene.arm.selector.type]):
+        _out.print("compiling, this once: about half a minute", highlight=False)
+        compile_for([scene.arm.selector.type])
+    with episode_bar(_out, scene.label, scene.episode + 1) as told:
+        film = film_scene(store, scene, FilmOptions(output, fps, max_frames), told)
+    _out.print(film.path, highlight=False, markup=False)
+    what = f"{scene.label} · episode {scene.episode:,}: {film.learner} played, return {film.episode_return:.6g}"
+    _out.print(f"{what}, {film.length:,} steps", highlight=False, markup=False)
+    if film.every > 1:
+        _out.print(f"every {film.every} steps are one picture; --max-frames takes more", highlight=False)
+    if not film.num_checked:
+        _out.print("no episode of this run up to here was recorded, with which to compare", highlight=False)
 
 
 def draw(store: ResultStore, experiment: Experiment) -> list[str]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -141,6 +143,19 @@ def progress_line(arms: Mapping[str, ArmProgress], seconds: float) -> str:
     steps = sum(arm.steps for arm in arms.values()) / max(seconds, 1e-9)
     hours, rest = divmod(int(seconds), 3600)
     return f"[{hours}:{rest // 60:02d}:{rest % 60:02d}] {' · '.join(parts)} · {short_count(steps)} steps/s"
+
+
+@contextmanager
+def episode_bar(console: Console, what: str, num_episodes: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar for one run, by episodes, to be told how many there are so far; nothing in a log."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f} episodes"),
+    )
+    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(escape(what), total=num_episodes)
+        yield lambda completed: progress.update(task, completed=completed)
 
 
 def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:

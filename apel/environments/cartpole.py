@@ -19,6 +19,7 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from apel.batched import Runs, Stepped
+from apel.environments.drawing import draw_cart_pole
 from apel.environments.misuse import NO_EPISODE, check_step, check_under_way
 
 TimeLimit = Literal["terminal", "truncation"]
@@ -104,6 +105,14 @@ class CartPole(CartPoleEnv):
             self._steps = NO_EPISODE
         is_terminal = self.time_limit == "terminal"
         return observation, reward, failed or (at_limit and is_terminal), at_limit and not is_terminal, info
+
+    def render(self) -> Any:
+        """See Gymnasium; an array is drawn here, for which nobody needs pygame."""
+        if self.render_mode != "rgb_array" or self.state is None:
+            return super().render()  # type: ignore[no-untyped-call]
+        position, _, angle, _ = map(float, self.state)
+        # Gymnasium's ``length`` is half of the pole's.
+        return draw_cart_pole(position, angle, 2 * self.length, self.x_threshold, self.theta_threshold_radians)
 
 
 def _check(angle_limit: float, max_steps: int, time_limit: str) -> None:

@@ -50,6 +50,8 @@ class Maze(FiniteEnvironment):
         Steps after which an episode is truncated.
     max_draws:
         How many mazes are drawn at most to meet ``optimal_length``.
+    render_mode:
+        See Gymnasium; ``"rgb_array"`` is the only one.
 
     Raises
     ------
@@ -87,13 +89,29 @@ class Maze(FiniteEnvironment):
         self.start_cell, self.goal_cell = int(start), int(goal)
         self.size = size
         self.render_mode = render_mode
+        self._visits = np.zeros(size * size, dtype=np.int64)
         super().__init__(
             _model(passages, size, self.start_cell, self.goal_cell, int(length), tuple(distractors), max_steps)
         )
 
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        started = super().reset(seed=seed, options=options)
+        self._visits[:] = 0
+        self._visits[self._cell] = 1
+        return started
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """See `FiniteEnvironment`."""
+        stepped = super().step(action)
+        self._visits[self._cell] += 1
+        return stepped
+
     def render(self) -> Any:
-        """The maze as ``uint8[height, width, 3]``: walls black, start blue, goal green, agent orange."""
-        return draw_maze(self.passages, self.size, self.start_cell, self.goal_cell, self._cell)
+        """The maze as ``uint8[height, width, 3]``: walls black, start blue, goal green, agent orange; a cell is the
+        darker the more often it was visited in this episode.
+        """
+        return draw_maze(self.passages, self.size, self.start_cell, self.goal_cell, self._cell, self._visits)
 
 
 def _check(maze_seed: int, size: int, distractors: Sequence[int], max_steps: int, max_draws: int) -> None:
