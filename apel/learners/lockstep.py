@@ -11,7 +11,7 @@ from apel.trajectory import TrajectoryBatch
 
 
 class Step(NamedTuple):
-    """One step of A runs, in the order of `Cursor.runs`; actions are counted from 0, unknown probabilities NaN."""
+    """One step of A runs, in rising order; actions are counted from 0, unknown probabilities NaN."""
 
     next_entry: NDArray[Any]
     action: NDArray[np.int64]
@@ -52,11 +52,11 @@ class Cursor:
         # Every episode before has one more observation than steps.
         return self._batch.observation[self._first_step[row] + self._taken + row]
 
-    def step(self) -> Step:
-        """The step from where every run stands."""
-        batch, row = self._batch, self._row[self._at]
-        here = self._first_step[row] + self._taken
-        is_last = self._taken + 1 == batch.episodes.length[row]
+    def step(self, going: NDArray[np.int64]) -> Step:
+        """The step from where those of `runs` stand that are at the positions ``going``."""
+        batch, row = self._batch, self._row[self._at[going]]
+        here = self._first_step[row] + self._taken[going]
+        is_last = self._taken[going] + 1 == batch.episodes.length[row]
         terminated = is_last & batch.episodes.terminated[row]
         return Step(
             next_entry=batch.observation[here + row + 1],
@@ -70,16 +70,17 @@ class Cursor:
     def _unknown(self, count: int) -> NDArray[np.float64]:
         return np.full((count, self._num_actions), np.nan)
 
-    def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Go to the next step of every run, and forget those that have none: which of the rest begin an episode, and
-        which of all they are.
+    def advance(self, going: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Go on to the next step of those, and forget runs that have none: which begin an episode now, and which are
+        left.
         """
-        self._taken += 1
-        started = self._taken == self._batch.episodes.length[self._row[self._at]]
+        started = np.zeros(len(self.runs), dtype=np.bool_)
+        self._taken[going] += 1
+        started[going] = self._taken[going] == self._batch.episodes.length[self._row[self._at[going]]]
         self._at[started] += 1
         self._taken[started] = 0
         left = self._at < self._end
         self.runs, self._at, self._end, self._taken = (
             column[left] for column in (self.runs, self._at, self._end, self._taken)
         )
-        return started[left], left
+        return started, left

@@ -48,6 +48,10 @@ class StackedLearner(Protocol):
         """Learn from one step of each run."""
         ...
 
+    def lag(self, runs: Runs) -> NDArray[np.int64]:
+        """``int64[A]``: in how many steps each of these runs learns next. It costs least where they learn together."""
+        ...
+
     def end_episode(self, runs: Runs) -> None:
         """The episode of each of these runs is over, own or another's."""
         ...

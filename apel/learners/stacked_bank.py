@@ -76,17 +76,23 @@ class StackedBank:
         cursor = Cursor(batch, self._num_actions, self.first_action)
         self.freeze_at_epoch(cursor.runs, cursor.episodes)
         seen = self.first_seen(cursor.runs, cursor.entries)
-        while len(runs := cursor.runs):
-            step = cursor.step()
+        while len(cursor.runs):
+            going = self.going(cursor.runs)
+            runs, step = cursor.runs[going], cursor.step(going)
             stepped = Stepped(step.next_entry, step.reward, step.terminated, step.truncated)
-            following = self.learn_step(runs, seen, step.action, stepped, step.probability)
+            seen[going] = self.learn_step(runs, seen[going], step.action, stepped, step.probability)
             self.learner.end_episode(runs[step.terminated | step.truncated])
-            started, left = cursor.advance()
-            seen = following[left]
+            started, left = cursor.advance(going)
+            seen, started = seen[left], started[left]
             if started.any():
                 self.freeze_at_epoch(cursor.runs[started], cursor.episodes[started])
                 seen[started] = self.first_seen(cursor.runs[started], cursor.entries[started])
         return ()
+
+    def going(self, runs: Runs) -> NDArray[np.int64]:
+        """Positions of those of ``runs`` that take the next step: all of them, once they learn at the same steps."""
+        lag = self.learner.lag(runs)
+        return np.arange(len(runs)) if lag.min() == lag.max() else np.flatnonzero(lag)
 
     def learn_step(
         self,
@@ -199,7 +205,9 @@ class _Round:
         self._streak_episodes, self._streak_steps = dict.fromkeys(runs, 0), dict.fromkeys(runs, 0)
         active, seen = self._begin(np.array(runs, dtype=np.int64))
         while len(active):
-            active, seen = self._tick(active, seen)
+            going = self._bank.going(active)
+            ticked = self._tick(active[going], seen[going])
+            active, seen = _merged((np.delete(active, going), np.delete(seen, going, axis=0)), ticked)
         return played(self._rows, self._trajectories, self._failures)
 
     def _begin(self, runs: Runs) -> tuple[Runs, NDArray[Any]]:
@@ -236,12 +244,7 @@ class _Round:
 
     def _joined(self, runs: Runs, seen: NDArray[Any], again: Runs) -> tuple[Runs, NDArray[Any]]:
         """The runs in mid-episode and those that begin another one, in rising order."""
-        if not len(again):
-            return runs, seen
-        started, first = self._begin(again)
-        runs, seen = np.concatenate([runs, started]), np.concatenate([seen, first])
-        order = np.argsort(runs)
-        return runs[order], seen[order]
+        return _merged((runs, seen), self._begin(again)) if len(again) else (runs, seen)
 
     def _note(
         self, active: Runs, action: NDArray[np.int64], stepped: Stepped, probability: NDArray[np.float64]
@@ -282,3 +285,16 @@ class _Round:
             run = int(runs[position])
             self._failures.append(Failure(run, int(self._book.episode[run]), error))
         return np.array([i for i in range(len(runs)) if i not in stepped.errors], dtype=np.int64)
+
+
+_Seers = tuple[Runs, NDArray[Any]]
+"""Runs, in rising order, and what their learners see."""
+
+
+def _merged(some: _Seers, others: _Seers) -> _Seers:
+    """Both, in rising order of the runs."""
+    if not len(some[0]) or not len(others[0]):
+        return some if len(some[0]) else others
+    runs, seen = (np.concatenate(columns) for columns in zip(some, others, strict=True))
+    order = np.argsort(runs)
+    return runs[order], seen[order]

@@ -122,6 +122,10 @@ class StackedWitness:
             entry = (seen.tolist(), int(action), float(reward), following.tolist(), bool(terminated), bool(truncated))
             self.runs[run].learned.append(entry)
 
+    def lag(self, runs: Any) -> Any:
+        # Out of step with each other for ever: what a run is told must not depend on it.
+        return np.array([-(len(self.runs[run].learned) + run) % 3 for run in runs])
+
     def end_episode(self, runs: Any) -> None:
         for run in runs:
             self.runs[run].end_episode()

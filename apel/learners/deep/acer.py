@@ -264,6 +264,10 @@ class StackedAcer:
             for _ in range(self.options.replay_ratio):
                 self._update(one_call, self._memory.draw(one_call, self.options.batch_size, self._streams.sampling))
 
+    def lag(self, runs: Runs) -> NDArray[np.int64]:
+        """See `StackedLearner`."""
+        return np.zeros(len(runs), dtype=np.int64)
+
     def end_episode(self, runs: Runs) -> None:
         """Nothing: the last step has closed the segment."""
 

@@ -186,6 +186,10 @@ class StackedDqn:
         if len(copied):
             self._rows.copy(self._target, self._online, copied)
 
+    def lag(self, runs: Runs) -> NDArray[np.int64]:
+        """See `StackedLearner`."""
+        return -self._steps[runs] % self.options.train_every
+
     def end_episode(self, runs: Runs) -> None:
         """DQN counts steps, not episodes."""
 

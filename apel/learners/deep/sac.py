@@ -139,6 +139,10 @@ class StackedSac:
             slots = self._replay.draw(one_call, self.options.batch_size, self._streams.sampling)
             self._update(one_call, self._replay.take(one_call, slots))
 
+    def lag(self, runs: Runs) -> NDArray[np.int64]:
+        """See `StackedLearner`."""
+        return -self._steps[runs] % self.options.train_every
+
     def end_episode(self, runs: Runs) -> None:
         """It counts steps, not episodes."""
 
