@@ -39,6 +39,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.monitoring
 	$(BIN)/python -m benchmarks.checkpoint_cost
 	$(BIN)/python -m benchmarks.thousand_runs
+	$(BIN)/python -m benchmarks.pixels
 	$(BIN)/python -m benchmarks.soak --faults 100
 
 clean:

@@ -9,6 +9,9 @@ step costs altogether in the ensemble of ``breakout-atari`` (Q-learner and DQN, 
 * copied by the coordinator: it takes the batch, and sends it on: what happens where references are not passed on.
 * stacked: by reference, but each step with both of its stacks of four frames, as transitions mostly travel.
 * stacked and copied: both, which is what a plain program does.
+
+The parts of a step of the DQN are measured one by one too, in this process and on one core: what a GPU would take
+over, and what not.
 """
 
 from __future__ import annotations
@@ -24,9 +27,14 @@ from typing import Any
 
 import numpy as np
 import ray
+import torch
+from gymnasium import spaces
 
 from apel.configs import EnvironmentConfig
 from apel.environments import make_world
+from apel.learners.deep.dqn import StackedDqn
+from apel.learners.stacked import Transitions
+from apel.stacking import stacked_space
 from apel.trajectory import Episodes, Trajectory, TrajectoryBatch, batch_of
 from cluster.launch import ray_cluster
 from jobs.manifest import versions
@@ -121,6 +129,45 @@ def pipeline_seconds_per_step(folder: str) -> float:
     return outcome.seconds / int(outcome.store.runs()["steps"][0].as_py())
 
 
+def seconds_of_parts() -> dict[str, float]:
+    """Of one step of one run: the game, remembering, choosing an action; and of one update, all and without network."""
+    torch.set_num_threads(1)
+    experiment = load_experiment("breakout-atari", ["learners.DQN.device=cpu", "learners.DQN.learning_starts=1"])
+    world = make_world(EnvironmentConfig("apel/AtariBreakout-v0"), 1)
+    space = stacked_space(spaces.Box(0, 255, (84, 84), np.uint8), STACK)
+    learner = StackedDqn(space, 4, [1], **experiment.learners["DQN"].options)
+    run, generator = np.zeros(1, dtype=np.int64), np.random.default_rng(1)
+    world.environment.reset(seed=1)
+    seen, steps, batch = np.zeros((1, STACK, 84, 84), np.uint8), [], (1, learner.options.batch_size)
+
+    def play() -> None:
+        entry, reward, terminated, *_ = world.environment.step(int(generator.integers(4)))
+        before = steps[-1].next_observation if steps else seen
+        following = np.concatenate([before[:, 1:], entry["frame"][None, None]], axis=1)
+        ends = np.array([terminated]), np.array([False])
+        steps.append(Transitions(before, run, np.array([reward]), following, *ends, np.full((1, 4), 0.25)))
+        if terminated:
+            world.environment.reset(seed=len(steps))
+
+    def timed(call: Callable[[], object], times: int) -> float:
+        began = time.perf_counter()
+        for _ in range(times):
+            call()
+        return (time.perf_counter() - began) / times
+
+    found = {"game": timed(play, 600)}
+    pending = iter(steps)
+    found["remember"] = timed(lambda: learner._replay.add(run, next(pending)), 500)
+    found["act"] = timed(lambda: learner.act(run, steps[-1].observation), 200)
+    slots = generator.integers(500, size=batch)
+    weights = np.ones(batch, dtype=np.float32)
+    found["minibatch"] = timed(lambda: learner._tensors(learner._replay.take(run, slots), weights), 100)
+    for slot in range(500):
+        learner._priorities.add(run, np.array([slot]))  # type: ignore[union-attr]
+    found["update"] = timed(lambda: learner._update(run), 30)
+    return found
+
+
 def main() -> None:
     """Print and store."""
     batch = played_batch(STEPS)
@@ -137,6 +184,7 @@ def main() -> None:
             for name, (one, how) in cases.items()
         }
         total = pipeline_seconds_per_step("/tmp/apel-benchmark-pixels")
+    parts = seconds_of_parts()
     base = found["by reference"]
     for name, one in found.items():
         ratios = [one[key] / base[key] for key in ("bytes_per_step", "seconds_per_step")]
@@ -145,7 +193,8 @@ def main() -> None:
             f" ({ratios[0]:.1f} × and {ratios[1]:.1f} ×), {one['seconds_per_step'] / total:6.2%} of a step's wall time"
         )
     print(f"a step of the ensemble: {1e3 * total:.1f} ms")
-    stored = {"versions": versions(), "transport": found, "pipeline_seconds_per_step": total}
+    print("parts, ms: " + ", ".join(f"{name} {1e3 * seconds:.2f}" for name, seconds in parts.items()))
+    stored = {"versions": versions(), "transport": found, "pipeline_seconds_per_step": total, "parts": parts}
     Path("benchmarks/results/pixels.json").write_text(json.dumps(stored, indent=2) + "\n")
 
 
