@@ -55,7 +55,7 @@ def test_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
         for word in words[1:]:
             if word.startswith("--"):
                 assert word in help_texts[name], line
-    local = {"list", "validate", "run", "show", "figures", "design", "reproduce", "claims"}
+    local = {"list", "validate", "run", "show", "figures", "watch", "design", "reproduce", "claims"}
     assert set(help_texts) == local | {"submit", "jobs", "status", "logs", "stop", "resume", "fetch"}
 
 
