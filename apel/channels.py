@@ -16,6 +16,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 SIGNAL_TYPE = np.dtype(np.float32)
+PLAIN_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
+"""Of what an observation, or a channel of one, may be an element."""
 
 
 class ChannelSpace(spaces.Dict):
@@ -82,7 +84,7 @@ class ChannelledEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(self, environment: gymnasium.Env[Any, Any], signals: Sequence[str]) -> None:
         super().__init__(environment)
         channels = environment.observation_space
-        if not isinstance(channels, spaces.Dict) or not all(map(_is_plain, channels.values())):
+        if not isinstance(channels, spaces.Dict) or not all(isinstance(one, PLAIN_SPACES) for one in channels.values()):
             message = f"found signals of an environment with the observations {channels}, expected a Dict of plain ones"
             raise ValueError(message)
         self._space = ChannelSpace(channels, signals)
@@ -104,10 +106,6 @@ def entry_layout(space: spaces.Space[Any]) -> tuple[tuple[int, ...], np.dtype[An
     if isinstance(space, ChannelSpace):
         return (), space.entry_type
     return tuple(space.shape or ()), np.dtype(space.dtype)
-
-
-def _is_plain(space: spaces.Space[Any]) -> bool:
-    return isinstance(space, spaces.Box | spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary)
 
 
 def _field_type(space: spaces.Space[Any]) -> np.dtype[Any]:

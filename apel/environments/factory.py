@@ -10,14 +10,12 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation, TimeLimit
 
-from apel.channels import ChannelledEnvironment, signals_of
+from apel.channels import PLAIN_SPACES, ChannelledEnvironment, signals_of
 from apel.configs import EnvironmentConfig
 from apel.environments.finite_environment import FiniteEnvironment, HasFiniteModel, HasTransitionTable, toy_text_model
 from apel.finite import FiniteModel
 from apel.seeding import Role, make_key
 from apel.streams import episode_seed
-
-_PLAIN_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
         environment = FiniteEnvironment(model)
     elif signals is not None:
         environment = ChannelledEnvironment(environment, signals)
-    elif not isinstance(environment.observation_space, _PLAIN_SPACES):
+    elif not isinstance(environment.observation_space, PLAIN_SPACES):
         environment = FlattenObservation(environment)
     key = make_key(run_seed, Role.ENVIRONMENT)
     _, info = environment.reset(seed=episode_seed(np.uint64(key), 0))

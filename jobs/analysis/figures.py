@@ -78,9 +78,10 @@ def _switches(
     data = SwitchData(store.folder, points, learners, plot.switch) if plot.switch else None
     if data is None or (rows := data.rows()).empty:
         return None, {}
-    tables = {"switch": switch_table(rows, data), "switch_runs": rows}
-    named = {f"figures/{plot.name}_{kind}.csv": table for kind, table in tables.items()}
-    return marks_of(data, rows, experiment), named
+    table = switch_table(rows, data)
+    tables = {"switch": table, "switch_runs": rows}
+    named = {f"figures/{plot.name}_{kind}.csv": each for kind, each in tables.items()}
+    return marks_of(data, rows, table, experiment), named
 
 
 def _draw(

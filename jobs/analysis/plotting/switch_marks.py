@@ -10,7 +10,7 @@ import numpy as np
 
 from jobs.analysis.plotting import style
 from jobs.analysis.switch_runs import Point, SwitchData
-from jobs.analysis.switch_table import crossing_of_means, switch_table
+from jobs.analysis.switch_table import crossing_of_means
 from jobs.spec import Experiment
 
 
@@ -65,20 +65,23 @@ _CROSSING: dict[str, Any] = {"color": style.GREY, "linestyle": "--", "linewidth"
 _SWITCH: dict[str, Any] = {"linestyle": ":", "linewidth": 1.8}
 
 
-def marks_of(data: SwitchData, rows: Any, experiment: Experiment) -> Marks:
-    """The marks of a figure without a sweep: those of the first sweep point where there are several."""
+def marks_of(data: SwitchData, rows: Any, table: Any, experiment: Experiment) -> Marks:
+    """The marks of a figure without a sweep: those of the first sweep point where there are several.
+
+    ``rows`` are those of ``data``, ``table`` what `switch_table` makes of them.
+    """
     points: dict[str, Point] = {}
     for arm, sweep in data.ensembles:
         points.setdefault(arm, (arm, sweep))
     steps, gaps, _ = data.gaps_and_shares(next(iter(points.values())))
     switches, texts = {}, {}
-    table = switch_table(rows).to_dict("records")
+    estimates = table.to_dict("records")
     for point in points.values():
         own = rows[(rows["arm"] == point[0]) & (rows["sweep"] == point[1]) & rows["delay"].notna()]
         middle = float(np.median(own["switch_step"].fillna(np.inf))) if len(own) else np.inf
         switches[point[0]] = middle if np.isfinite(middle) else None
         (row,) = [
-            row for row in table
+            row for row in estimates
             if (row["arm"], row["sweep"], row["minus"], row["unit"]) == (*point, "", "episodes")
         ]  # fmt: skip
         texts[point[0]] = _text(row)
