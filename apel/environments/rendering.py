@@ -71,12 +71,11 @@ def frames(world: World, episode: int, trajectory: Trajectory, every: int = 1) -
         If it does not go as ``trajectory`` says: the environment is no function of its seed and the actions.
     """
     environment = world.environment
-    first_action = int(environment.action_space.start)  # type: ignore[attr-defined]
     environment.reset(seed=int(episode_seed(np.uint64(world.key), episode)))
     yield Frame(_picture(environment), 0, 0.0)
     total, length = 0.0, len(trajectory)
     for step, (action, expected) in enumerate(zip(trajectory.action.tolist(), trajectory.reward.tolist(), strict=True)):
-        _, reward, terminated, truncated, _ = environment.step(first_action + action)
+        _, reward, terminated, truncated, _ = environment.step(action)
         total += float(reward)
         is_last, is_over = step + 1 == length, bool(terminated or truncated)
         if float(reward) != expected or is_over != is_last:

@@ -13,7 +13,8 @@ from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from apel.configs import EnvironmentConfig
+from apel.building import make_member
+from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import CartPole, Maze, make_world
 from apel.environments.canvas import BLACK, BLUE, ORANGE, Canvas
 from apel.environments.drawing import draw_cart_pole
@@ -191,8 +192,11 @@ def test_environments_of_gymnasium_that_cannot_be_rendered(id_: str, monkeypatch
         rendered_world(EnvironmentConfig(id_), 0)
 
 
-def test_actions_count_from_the_first() -> None:
-    """Trajectories count actions from 0, whatever the environment calls its first."""
+def test_actions_are_those_that_were_played() -> None:
+    """An environment whose first action is 5, with an episode as a learner plays it: the same action, and reward."""
     config = EnvironmentConfig("tests:Shown", {"picture": np.zeros((2, 3, 3), dtype=np.uint8)})
-    trajectory = Trajectory(np.empty(0), np.array([1]), np.array([6.0]), True)
+    member = make_member(LearnerConfig("tests.channelled:Witness"), make_world(config, 0, Shown), 0, 0)
+    member.learner.act = lambda observation: (6, None)  # type: ignore[method-assign]
+    trajectory = member.play(make_world(config, 0, Shown).environment, 0, 0)
+    assert (trajectory.action.tolist(), trajectory.reward.tolist()) == ([6], [6.0])
     assert list(frames(rendered_world(config, 0, Shown), 0, trajectory))[-1].return_so_far == 6.0
