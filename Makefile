@@ -1,30 +1,53 @@
-# make run | test | check | bench | clean: each sets up .venv first, from nothing but Python 3.11+ and a package index.
+# make run | test | check | docs | bench | mutation | clean: each sets up .venv first, from nothing but Python 3.11+ and a package index.
 PYTHON ?= python3
+# Among so many processes the tests are shared out; one of them plays all that needs a Ray.
+WORKERS ?= 2
 BIN := .venv/bin
 STAMP := .venv/.installed
+# What the main job needs is less than half of what tests and checks do; who has the latter has it.
+SERVICE := .venv/.service
+DOCS := .venv/.docs
 
-.PHONY: run test check format bench clean
+.PHONY: run test check lint spelling types doctests docs format bench mutation clean
 .DEFAULT_GOAL := run
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): EXTRA = dev
+$(SERVICE): EXTRA = service
+$(DOCS): EXTRA = docs
+$(STAMP) $(SERVICE) $(DOCS): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "error: found $$($(PYTHON) --version), expected Python 3.11 or newer (make PYTHON=python3.12 …)"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
-	touch $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$(EXTRA)]"
+	touch $@
 
-run: $(STAMP)
+run: $(if $(wildcard $(STAMP)),$(STAMP),$(SERVICE))
 	$(BIN)/apel run distractor-maze
 
+# First what actors will need is compiled: many at once would do so side by side, for minutes.
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -c "from cluster.compiling import DEEP_LEARNERS, compile_for; compile_for(('apel', 'fixed', 'ssbas', 'uniform', *DEEP_LEARNERS))"
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup --no-loadscope-reorder
 
-check: $(STAMP)
+check: lint spelling types doctests
+
+lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+spelling: $(STAMP)
+	$(BIN)/codespell
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+doctests: $(STAMP)
 	$(BIN)/python -m pytest --quiet -p no:cacheprovider --doctest-modules apel cluster jobs
+
+# The site, in build/site; nothing in it asks another host. Its search needs a server: python -m http.server -d build/site
+docs: $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 format: $(STAMP)
 	$(BIN)/ruff format .
@@ -38,9 +61,13 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.startup
 	$(BIN)/python -m benchmarks.monitoring
 	$(BIN)/python -m benchmarks.checkpoint_cost
+	$(BIN)/python -m benchmarks.model_cost
 	$(BIN)/python -m benchmarks.thousand_runs
 	$(BIN)/python -m benchmarks.pixels
 	$(BIN)/python -m benchmarks.soak --faults 100
+
+mutation: $(STAMP)
+	$(BIN)/python -m tests.mutation
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,7 +1,7 @@
 """Algorithm 5 for one run in one process: the readable statement of what this project does, and its API for a script.
 
-Everything faster (`apel.learners.tabular_bank`, `cluster`) gives the same rows as this loop; tests hold them against
-it.
+Everything faster (shards of many runs, compiled streaks, `cluster`) gives the same rows as this loop; tests hold them
+against it.
 """
 
 from __future__ import annotations
@@ -12,15 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.book import RUNNING, advance_run, open_book
-from apel.building import make_member, make_performance
-from apel.configs import LearnerConfig
-from apel.environments import World
-from apel.learners.streaks import criterion_measure, measure, not_finite_message
-from apel.metrics import Criterion
-from apel.selection import Selector, freezes_policies
-from apel.streams import episode_seed, evaluation_seed
-from apel.trajectory import Trajectory
+from apel.agents import Agent
+from apel.agents.content import TrainedLearner
+from apel.agents.making import selector_config, trained_agent
+from apel.building import bank_of_learners, make_learner, make_performance
+from apel.configs import ActingFloor, EnvironmentConfig, LearnerConfig
+from apel.environments import World, environment_list
+from apel.learners.base import StreakLimit
+from apel.run.criterion import Criterion
+from apel.run.opening import open_book
+from apel.run.rule import SelectionRule, as_selector
+from apel.run.selection import Selector, common_blocks, freezes_policies
+from apel.run.state import RUNNING
+
+_ONE_EPISODE = StreakLimit(episodes=1, steps=1)
 
 
 @dataclass(frozen=True)
@@ -70,34 +75,71 @@ class Ensemble:
         Name or import path of the measure that the selector compares.
     criterion:
         When the run counts as trained; it then stops.
+    acting_floor:
+        The least share of the steps that each learner plays, whatever the selector thinks.
+
+    Attributes
+    ----------
+    learners:
+        The learners themselves.
     """
 
     def __init__(
         self,
         world: World,
         learners: Sequence[LearnerConfig],
-        selector: Selector,
+        selector: Selector | SelectionRule,
         seed: int,
         num_episodes: int,
         *,
         performance: str = "return",
         criterion: Criterion | None = None,
+        acting_floor: ActingFloor | None = None,
     ) -> None:
-        freezes, evaluates = freezes_policies(selector), criterion is not None and criterion.evaluation == "greedy"
-        self.members = [
-            make_member(config, world, seed, i, freezes=freezes, evaluates=evaluates)
+        self.selector = as_selector(selector)
+        freezes, evaluates = freezes_policies(self.selector), criterion is not None and criterion.evaluation == "greedy"
+        made = [
+            make_learner(config, world, seed, i, freezes=freezes, evaluates=evaluates)
             for i, config in enumerate(learners)
         ]
-        self.selector = selector
-        self._world = world
-        self._performance = make_performance(performance)
-        self._book = open_book(selector, len(learners), num_episodes, criterion, [seed], [world.info])
+        self.learners = [learner for learner, _ in made]
+        self._learns_from_others = [config.learns_from != "own" for config in learners]
+        environment, measure = environment_list([world]), make_performance(performance)
+        self._banks = [
+            bank_of_learners([one], environment, [world], measure, freezes=freezes, raises=True) for one in made
+        ]
+        self._world, self._configs, self._seed = world, tuple(learners), seed
+        self._book = open_book(
+            self.selector,
+            len(learners),
+            num_episodes,
+            criterion,
+            [seed],
+            [world.info],
+            floor=0.0 if acting_floor is None else acting_floor.steps,
+        )
 
     @property
     def train_time(self) -> int | None:
         """Episodes until the criterion held, or None as long as it has not."""
         time = int(self._book.train_time[0])
         return time if time >= 0 else None
+
+    def agent(self, environment: EnvironmentConfig, names: Sequence[str] = ()) -> Agent:
+        """What it has come to so far, in the hand: to act, to be evaluated, and to be saved.
+
+        Parameters
+        ----------
+        environment:
+            What its world was made from.
+        names:
+            Of the learners; without any they are numbered.
+        """
+        given = list(names) or [f"learner {i}" for i in range(len(self.learners))]
+        columns = zip(given, self._configs, self.learners, strict=True)
+        learners = [TrainedLearner(name, config, learner.state()) for name, config, learner in columns]
+        parts = (environment, self._world, learners, selector_config(self.selector), self._book, 0)
+        return Agent(trained_agent(*parts, {"seed": self._seed}), trust=True)
 
     def run(self) -> Iterator[EpisodeRecord]:
         """Play episode after episode until the run is over."""
@@ -112,32 +154,20 @@ class Ensemble:
         ValueError
             If the performance is not a finite number.
         """
-        episode, selected = int(self._book.episode[0]), int(self._book.learner[0])
-        probability, estimate, concentration = (
-            self._book.selector_state[0, : 3 * len(self.members)].reshape(3, -1).copy()
-        )
+        book, selector, selected = self._book, self.selector, int(self._book.learner[0])
+        probability, estimate, concentration = common_blocks(book.selector_state[0].copy(), len(self._banks))
 
-        # The selected learner generates a trajectory, learning while it acts; then all others train on it.
-        trajectory = self.play_one(0, episode)
-        for index, member in enumerate(self.members):
-            if index != selected:
-                member.learn(trajectory, episode)
+        # The selected learner generates a trajectory, learning while it acts. Its performance becomes its estimate; the
+        # selector adjusts itself, and selects for the next episode: that is what `play` does to the book.
+        record = len(self._banks) > 1
+        played = self._banks[selected].play([0], book, selector, selected, _ONE_EPISODE, record=record)
+        for failure in played.failures:
+            raise ValueError(failure.error)
 
-        # Its performance becomes its estimate; the selector adjusts itself and selects for the next episode.
-        performance = measure(self._performance, trajectory)
-        if not np.isfinite(performance):
-            raise ValueError(not_finite_message(performance))
-        episode_return = trajectory.undiscounted_return
-        judged = criterion_measure(self._book, self, 0, trajectory)
-        advance_run(self._book, self.selector, 0, len(trajectory), episode_return, performance, judged)
-        return EpisodeRecord(episode, selected, episode_return, len(trajectory), probability, concentration, estimate)
-
-    def play_one(self, run: int, episode: int) -> Trajectory:
-        """One episode by the learner whose turn it is; ``run`` is 0, the only one."""
-        seed = episode_seed(np.uint64(self._world.key), episode)
-        return self.members[int(self._book.learner[run])].play(self._world.environment, seed, episode)
-
-    def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
-        """Length and return of an episode by the same learner, without exploring or learning."""
-        seed = evaluation_seed(np.uint64(self._world.key), episode)
-        return self.members[int(self._book.learner[run])].evaluate(self._world.environment, seed)
+        # All others train on the trajectory, but for those that learn from their own alone.
+        for index, bank in enumerate(self._banks):
+            if index != selected and played.batch is not None and self._learns_from_others[index]:
+                bank.learn(played.batch)
+        episode, length = int(played.episodes.episode[0]), int(played.episodes.length[0])
+        episode_return = float(played.episodes.episode_return[0])
+        return EpisodeRecord(episode, selected, episode_return, length, probability, concentration, estimate)

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from cluster.events import ShardEvent, ShardProgress
 from cluster.shard import Execution, Shard
-from jobs.manifest import versions
-from jobs.observers import Observer
-from jobs.progress import JobProgress
+from jobs.experiment.spec_files import load_experiment
+from jobs.progress.observers import Observer
+from jobs.progress.progress import JobProgress
+from jobs.results.manifest import versions
 from jobs.runner import Settings, run_experiment
-from jobs.spec_files import load_experiment
 
 PACES = {
     "none": Execution(checkpoint_seconds=1e9),

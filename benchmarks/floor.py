@@ -7,14 +7,14 @@ import time
 
 import numpy as np
 
-from apel.book import RUNNING, Book
 from apel.building import make_bank, make_selector
 from apel.learners.base import StreakLimit
+from apel.run.state import RUNNING, Book
 from cluster.learner_host import make_run_world, open_shard_book
 from cluster.shard import Shard
-from jobs.plan import plan_shards
-from jobs.spec import Experiment
-from jobs.spec_files import load_experiment
+from jobs.experiment.plan import Plan
+from jobs.experiment.spec import Experiment
+from jobs.experiment.spec_files import load_experiment
 
 
 def play_shard(shard: Shard) -> int:
@@ -42,7 +42,7 @@ def play_shard(shard: Shard) -> int:
 
 def shards_of(experiment: Experiment, part: int, num_parts: int) -> list[Shard]:
     """Every ``num_parts``-th run of each arm."""
-    shards = plan_shards(experiment, experiment.runs, None, set(), 1)
+    shards = Plan.of(experiment).shards(num_cpus=1, shard_size=experiment.runs)
     return [Shard(shard.arm, shard.runs[part::num_parts]) for shard in shards]
 
 

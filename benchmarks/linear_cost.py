@@ -28,9 +28,9 @@ from cluster.coordinator import Coordinator
 from cluster.events import ShardDone
 from cluster.local import LocalHosts
 from cluster.shard import Execution
-from jobs.manifest import versions
-from jobs.plan import plan_shards
-from jobs.spec_files import load_experiment
+from jobs.experiment.plan import Plan
+from jobs.experiment.spec_files import load_experiment
+from jobs.results.manifest import versions
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -71,7 +71,7 @@ class _Nowhere:
 def play(overrides: tuple[str, ...]) -> tuple[float, int]:
     """Processor seconds and environment steps of all runs of the arm APEL, side by side."""
     experiment = load_experiment("distractor-maze", overrides)
-    (shard,) = plan_shards(experiment, 100, ["APEL"], set(), 1)
+    (shard,) = Plan.of(experiment).only(["APEL"]).shards(num_cpus=1, shard_size=100)
     nowhere = _Nowhere()
     began = time.process_time()
     for event in Coordinator(LocalHosts(), nowhere, nowhere, Execution()).run(shard):

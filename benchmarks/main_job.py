@@ -22,9 +22,9 @@ import ray
 
 from benchmarks import floor, plain_script
 from cluster.launch import ray_cluster
-from jobs.manifest import versions
+from jobs.experiment.spec_files import load_experiment
+from jobs.results.manifest import versions
 from jobs.runner import Settings, run_experiment
-from jobs.spec_files import load_experiment
 
 CORES = os.cpu_count() or 1
 PLAIN_EPISODES = {"Q_full": 60, "APEL": 60}

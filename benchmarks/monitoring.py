@@ -17,23 +17,26 @@ from pathlib import Path
 from rich.console import Console
 
 from cluster.launch import ray_cluster
-from jobs.event_files import EventFiles
-from jobs.manifest import versions
-from jobs.metrics import MetricsObserver
-from jobs.observers import NO_OBSERVER, Observer, Observers
+from jobs.experiment.spec_files import load_experiment
+from jobs.progress.apart import Apart
+from jobs.progress.job_observer import JobInfo
+from jobs.progress.observers import NO_OBSERVER, Observer, Observers
+from jobs.progress.prometheus import PrometheusObserver
+from jobs.progress.status_file import StatusFile
+from jobs.progress.tensorboard import EventFiles
+from jobs.progress.terminal import TerminalObserver
+from jobs.results.manifest import versions
 from jobs.runner import Settings, run_experiment
-from jobs.spec_files import load_experiment
-from jobs.status_file import StatusFile
-from jobs.terminal import TerminalObserver
 
 
 def observers(folder: Path) -> Observer:
     """All that a submitted job can have."""
     about = {"experiment": "distractor-maze", "identity": "", "results": ""}
     log = Console(file=io.StringIO(), width=120)
-    board = EventFiles(str(folder / "board"))
+    job = JobInfo("distractor-maze", "", "", "job", load_experiment("distractor-maze").content())
+    board = Apart("tensorboard", EventFiles(str(folder / "board")), job, print)
     return Observers(
-        [MetricsObserver("distractor-maze", "job"), StatusFile("job", about), TerminalObserver(log), board]
+        [PrometheusObserver("distractor-maze", "job"), StatusFile("job", about), TerminalObserver(log), board]
     )
 
 

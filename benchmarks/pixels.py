@@ -32,14 +32,14 @@ from gymnasium import spaces
 
 from apel.configs import EnvironmentConfig
 from apel.environments import make_world
-from apel.learners.deep.dqn import StackedDqn
-from apel.learners.stacked import Transitions
-from apel.stacking import stacked_space
-from apel.trajectory import Episodes, Trajectory, TrajectoryBatch, batch_of
+from apel.experience.frame_stacking import stacked_space
+from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch, batch_of
+from apel.learners.banks.batched_learner import Transitions
+from apel.learners.deep.dqn import BatchedDqn, sample, update
 from cluster.launch import ray_cluster
-from jobs.manifest import versions
+from jobs.experiment.spec_files import load_experiment
+from jobs.results.manifest import versions
 from jobs.runner import Settings, run_experiment
-from jobs.spec_files import load_experiment
 
 STEPS, ROUNDS, PIPELINE_STEPS, STACK = 1000, 15, 6_000, 4
 
@@ -132,13 +132,13 @@ def pipeline_seconds_per_step(folder: str) -> float:
 def seconds_of_parts() -> dict[str, float]:
     """Of one step of one run: the game, remembering, choosing an action; and of one update, all and without network."""
     torch.set_num_threads(1)
-    experiment = load_experiment("breakout-atari", ["learners.DQN.device=cpu", "learners.DQN.learning_starts=1"])
+    experiment = load_experiment("breakout-atari", ["learners.DQN.device=cpu", "learners.DQN.learning_starts=1000"])
     world = make_world(EnvironmentConfig("apel/AtariBreakout-v0"), 1)
     space = stacked_space(spaces.Box(0, 255, (84, 84), np.uint8), STACK)
-    learner = StackedDqn(space, 4, [1], **experiment.learners["DQN"].options)
+    learner = BatchedDqn(space, 4, [1], **experiment.learners["DQN"].options)
     run, generator = np.zeros(1, dtype=np.int64), np.random.default_rng(1)
     world.environment.reset(seed=1)
-    seen, steps, batch = np.zeros((1, STACK, 84, 84), np.uint8), [], (1, learner.options.batch_size)
+    seen, steps = np.zeros((1, STACK, 84, 84), np.uint8), []
 
     def play() -> None:
         entry, reward, terminated, *_ = world.environment.step(int(generator.integers(4)))
@@ -157,14 +157,10 @@ def seconds_of_parts() -> dict[str, float]:
 
     found = {"game": timed(play, 600)}
     pending = iter(steps)
-    found["remember"] = timed(lambda: learner._replay.add(run, next(pending)), 500)
+    found["remember"] = timed(lambda: learner.learn(run, next(pending)), 500)
     found["act"] = timed(lambda: learner.act(run, steps[-1].observation), 200)
-    slots = generator.integers(500, size=batch)
-    weights = np.ones(batch, dtype=np.float32)
-    found["minibatch"] = timed(lambda: learner._tensors(learner._replay.take(run, slots), weights), 100)
-    for slot in range(500):
-        learner._priorities.add(run, np.array([slot]))  # type: ignore[union-attr]
-    found["update"] = timed(lambda: learner._update(run), 30)
+    found["minibatch"] = timed(lambda: sample(learner.learner.core, run, learner.learner.batch), 100)
+    found["update"] = timed(lambda: update.py_func(learner.learner, run), 30)
     return found
 
 

@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.compiled import njit
-from apel.registry import SELECTORS
-from apel.seeding import Role, make_stream
-from apel.selection import Observe, Row, Select, Selector
-from jobs.manifest import versions
+from apel.building.registry import SELECTORS
+from apel.numerics.compiled import njit
+from apel.numerics.seeding import Role, make_stream
+from apel.numerics.views import Row
+from apel.run.selection import Observe, Select, Selector
+from jobs.results.manifest import versions
 
 RUNS, EPISODES, NUM_LEARNERS = 100, 5_000, (2, 20)
 WINDOWS = (1_000, 10_000, 100_000)

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from jobs.manifest import versions
+from jobs.results.manifest import versions
 from tests.soak.soak import Plan, Result, soak
 
 RUNS_PER_FAULT, EPISODES, ROUND_SECONDS = 0.5, 600, 0.01

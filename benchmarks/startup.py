@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from jobs.manifest import versions
+from jobs.results.manifest import versions
 from tests.ray_head import Head, ray_head
 
 PARTS = (

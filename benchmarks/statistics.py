@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from jobs.analysis.bootstrap import Location, bootstrap_curve
-from jobs.analysis.comparison import probability_of_improvement
-from jobs.manifest import versions
+from jobs.analysis.statistics.bootstrap import Location, bootstrap_curve
+from jobs.analysis.statistics.comparison import probability_of_improvement
+from jobs.results.manifest import versions
 
 ARMS, RUNS, POINTS = 4, 100, 100
 COUNTS = (2_000, 10_000)

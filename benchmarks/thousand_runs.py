@@ -13,7 +13,7 @@ from typing import Any
 
 import psutil
 
-from jobs.manifest import versions
+from jobs.results.manifest import versions
 from tests.ray_head import Head, ray_head
 
 

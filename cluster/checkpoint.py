@@ -1,34 +1,78 @@
-"""State trees to bytes and back: arrays and plain values only, so that reading a file never runs code."""
+"""What is stored of a shard: state trees as bytes (`apel.numerics.state_trees`) that are *sealed*: they say whose they
+are, and carry a checksum of all that.
+"""
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-# In the skeleton, which is JSON, a list is ["list", children] and an array ["array", name]; a dictionary is itself.
+from apel.numerics import state_trees
+from apel.numerics.state_trees import StateError, digest
+
+__all__ = ["CheckpointError", "digest", "pack", "seal", "unpack", "unseal", "writable"]
+
+_SEAL = b"\nAPEL-SEAL "
 
 
 class CheckpointError(Exception):
-    """A state that cannot be stored, or a file that holds none."""
+    """A state that cannot be stored, or a file that holds none, or another one's."""
 
 
-def pack(tree: Any) -> bytes:
-    """A tree of dictionaries, lists, arrays, numbers, strings, booleans and None as the bytes of one ``npz`` file.
+def seal(content: bytes, label: Mapping[str, str]) -> bytes:
+    """The bytes with a seal behind them: whose they are, and their checksum. An ``npz`` file stays one.
+
+    >>> unseal(seal(b"state", {"arm": "APEL"}), {"arm": "APEL"})
+    b'state'
+    """
+    said = json.dumps(dict(label), sort_keys=True)
+    tail = json.dumps({"digest": digest(content, said.encode()), "label": said})
+    return content + _SEAL + tail.encode()
+
+
+def unseal(content: bytes, label: Mapping[str, str]) -> bytes:
+    """The bytes that `seal` was given.
 
     Raises
     ------
     CheckpointError
-        If it holds anything else; the message names the place.
+        If they are damaged, have no seal, or are not those of ``label``; the message says which, and how.
     """
-    arrays: dict[str, Any] = {}
-    skeleton = _flatten(tree, arrays, "state")
-    buffer = io.BytesIO()
-    np.savez(buffer, tree=np.frombuffer(json.dumps(skeleton).encode(), dtype=np.uint8), **arrays)
-    return buffer.getvalue()
+    payload, mark, tail = content.rpartition(_SEAL)
+    if not mark:
+        message = "found a file that is cut off, or of an older version, expected one with a checksum"
+        raise CheckpointError(message)
+    try:
+        found = json.loads(tail)
+        said, checksum = str(found["label"]), found["digest"]
+    except (ValueError, TypeError, KeyError):
+        said, checksum = "", None
+    if checksum != digest(payload, said.encode()):
+        message = "found a damaged file, whose checksum is not that of its content"
+        raise CheckpointError(message)
+    theirs = json.loads(said)
+    for name in sorted(label.keys() | theirs.keys()):
+        if theirs.get(name) != label.get(name):
+            message = f"found the {name} {theirs.get(name)!r}, expected {label.get(name)!r}"
+            raise CheckpointError(message)
+    return payload
+
+
+def pack(tree: Any) -> bytes:
+    """The bytes of a state tree, see `apel.numerics.state_trees.pack`.
+
+    Raises
+    ------
+    CheckpointError
+        If it holds what cannot be stored; the message names the place.
+    """
+    try:
+        return state_trees.pack(tree)
+    except StateError as error:
+        raise CheckpointError(str(error)) from error
 
 
 def unpack(content: bytes) -> Any:
@@ -40,12 +84,9 @@ def unpack(content: bytes) -> Any:
         If the bytes are no such file.
     """
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            skeleton = json.loads(arrays["tree"].tobytes())
-            return _restore(skeleton, arrays)
-    except (ValueError, KeyError, OSError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        message = f"found an unreadable checkpoint ({error}), expected one written by this program"
-        raise CheckpointError(message) from error
+        return state_trees.unpack(content)
+    except StateError as error:
+        raise CheckpointError(str(error)) from error
 
 
 def writable(tree: Any) -> Any:
@@ -64,33 +105,3 @@ def writable(tree: Any) -> Any:
         case list() | tuple():
             return [writable(child) for child in tree]
     return tree
-
-
-def _flatten(node: Any, arrays: dict[str, Any], place: str) -> Any:
-    match node:
-        case None | bool() | int() | float() | str():
-            return node
-        case np.generic() | np.ndarray() if node.dtype.kind in "biufcSU":
-            name = f"a{len(arrays)}"
-            arrays[name] = np.asarray(node)
-            return ["array", name]
-        case list() | tuple():
-            return ["list", [_flatten(child, arrays, f"{place}[{i}]") for i, child in enumerate(node)]]
-        case dict() if all(isinstance(key, str) for key in node):
-            return {key: _flatten(child, arrays, f"{place}.{key}") for key, child in node.items()}
-    message = (
-        f"{place}: found {type(node).__name__}, expected only dictionaries with string keys, lists, arrays of numbers, "
-        "numbers, strings, booleans and None in a learner's state()"
-    )
-    raise CheckpointError(message)
-
-
-def _restore(node: Any, arrays: Any) -> Any:
-    match node:
-        case dict():
-            return {key: _restore(child, arrays) for key, child in node.items()}
-        case ["array", name]:
-            return arrays[name]
-        case ["list", children]:
-            return [_restore(child, arrays) for child in children]
-    return node

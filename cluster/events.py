@@ -28,6 +28,8 @@ class ShardProgress:
     """Episodes that each learner played since the last report."""
     episode_return: float = 0.0
     """Sum of the undiscounted returns of those episodes."""
+    episodes_played: int = 0
+    """Over all runs: those that there were, also of runs that ended before their cap."""
     concentration: tuple[float, ...] = ()
     """Mean over the runs under way, per learner; empty for selectors that have none."""
 
@@ -40,6 +42,7 @@ class ShardDone:
     steps: int
     seconds: float
     rounds: int
+    episodes_played: int = 0
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,13 @@ class ShardStopped:
     """A shard was asked to stop: its checkpoint is written, and it goes on from there another time."""
 
     seconds: float
+
+
+@dataclass(frozen=True)
+class ShardReplayed:
+    """What is stored of a shard cannot be gone on from: it is played from its beginning."""
+
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -64,4 +74,4 @@ class ShardWaiting:
     """The cluster has no CPU at the moment; the shard, and all behind it, wait for one."""
 
 
-ShardEvent = ShardProgress | ShardDone | ShardStopped | ShardRestarted | ShardWaiting
+ShardEvent = ShardProgress | ShardDone | ShardStopped | ShardReplayed | ShardRestarted | ShardWaiting

@@ -19,23 +19,26 @@ from typing import Any
 
 import numpy as np
 import ray
+from ray._private import ray_constants, services
 from ray.util.placement_group import placement_group, placement_group_table, remove_placement_group
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
+from apel.experience.trajectory import Episodes
 from apel.learners.base import Failure, Played, State
-from apel.trajectory import Episodes
 from cluster.coordinator import Coordinator
-from cluster.errors import ClusterError
+from cluster.errors import ClusterError, LostClusterError
 from cluster.learner_host import LearnerHost
 from cluster.local import LocalHosts
 from cluster.protocols import Hosts
-from cluster.reaching import check_reachable
+from cluster.reachability import check_reachable
 from cluster.shard import Execution, Shard
 
 ObjectRef = Any  # ray's own is generic in a type that nothing here can check
 # Batches below this size travel inside the messages; Ray's own limit of 100 kB sends most of them through the object
 # store, which costs several times as much.
 _INLINE_BYTES = 2_000_000
+_CLOSE_SECONDS = 4.0
+"""For environments to be closed: a host first ends its round."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def ray_cluster(
     ClusterError
         If there is none at that address, or if it has no CPU.
     """
-    check_reachable(address)
+    check_reachable(_found_address(address))
     if ray.is_initialized():
         yield _info("")
         return
@@ -75,6 +78,21 @@ def ray_cluster(
         ray.shutdown()
 
 
+def _found_address(address: str | None) -> str | None:
+    """What ``auto`` stands for, which Ray would try for a quarter of an hour though nobody is there any more."""
+    if address != "auto" or ray.is_initialized():
+        return address
+    try:
+        found: str | None = services.get_ray_address_from_environment("auto", None)
+    except ConnectionError as error:
+        message = (
+            "found no Ray cluster on this machine, expected one for --address auto: start it with `ray start --head`, "
+            "or give HOST:PORT"
+        )
+        raise ClusterError(message) from error
+    return found
+
+
 def _connect(address: str | None, num_cpus: int | None, *, dashboard: bool) -> str:
     """Join or start a cluster; the dashboard's address."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -84,10 +102,12 @@ def _connect(address: str | None, num_cpus: int | None, *, dashboard: bool) -> s
     if address is None:
         system = {"max_direct_call_object_size": _INLINE_BYTES}
         options |= {"num_cpus": num_cpus, "include_dashboard": dashboard, "_system_config": system}
+        options |= {"_node_ip_address": "127.0.0.1"}
     handler = signal.getsignal(signal.SIGTERM)
     try:
-        context = ray.init(**options)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+        with _at_loopback(only=address is None):
+            context = ray.init(**options)
+    except Exception as error:  # among them bare ones, where a node does not come up in time
         reach = f"reach a Ray cluster at {address!r} (is its token in RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH?)"
         message = f"could not {'start Ray on this machine' if address is None else reach}: {error}"
         raise ClusterError(message) from error
@@ -96,10 +116,42 @@ def _connect(address: str | None, num_cpus: int | None, *, dashboard: bool) -> s
     return context.dashboard_url or ""
 
 
+@contextmanager
+def _at_loopback(*, only: bool) -> Iterator[None]:
+    """Within, Ray takes the loopback's address for this machine's, as it does on a Mac: nobody else shall reach a Ray
+    that is started for one job. Elsewhere it would put the address that others see in its place.
+    """
+    before = ray_constants.ENABLE_RAY_CLUSTER
+    ray_constants.ENABLE_RAY_CLUSTER = before and not only
+    try:
+        yield
+    finally:
+        ray_constants.ENABLE_RAY_CLUSTER = before
+
+
 def _info(dashboard_url: str) -> ClusterInfo:
     context: Any = ray.get_runtime_context()
     log_folder = Path(context.get_temp_dir(), context.get_session_name(), "logs")
     return ClusterInfo(dashboard_url, num_cpus_of_cluster(), log_folder)
+
+
+def refuse_lost_cluster() -> None:
+    """See that the processes of a Ray that was started here are there; those of another one its own machine watches.
+
+    Raises
+    ------
+    LostClusterError
+        If one of them has died: nothing that is asked of Ray then would ever be answered.
+    """
+    node: Any = ray._private.worker._global_node
+    processes = [] if node is None else node.dead_processes()
+    dead = [kind for kind, _ in processes if kind in ("raylet", "gcs_server")]
+    if dead:
+        message = (
+            f"the Ray on this machine has lost its {dead[0]}, which the system may have ended for want of memory: what "
+            "is finished is stored, and the same command goes on from the last checkpoints"
+        )
+        raise LostClusterError(message)
 
 
 def num_cpus_of_cluster() -> int:
@@ -123,6 +175,13 @@ def _get(references: list[ObjectRef]) -> list[Any]:
     return values
 
 
+def await_all(calls: Sequence[ObjectRef]) -> None:
+    """Wait a few seconds for calls to end, in whatever way."""
+    if calls:
+        with suppress(Exception):
+            ray.wait(list(calls), num_returns=len(calls), timeout=_CLOSE_SECONDS)
+
+
 class RemoteHosts:
     """Learner hosts that are actors. Trajectories go from host to host; the coordinator only passes references on."""
 
@@ -133,7 +192,7 @@ class RemoteHosts:
         self._last: list[ObjectRef | None] = []
 
     def prepare(self, shard: Shard, execution: Execution, states: Sequence[State] | None) -> None:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
         self._actors = self._all[: len(shard.arm.learner_names)]
         self._plays = [actor.play.options(num_returns=2) for actor in self._actors]
         self._last = [None] * len(self._actors)
@@ -145,7 +204,7 @@ class RemoteHosts:
         )
 
     def play(self, orders: Sequence[Sequence[int]]) -> list[Played]:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
         answers: list[Played] = [Played(Episodes.empty(0)) for _ in self._actors]
         batches: list[ObjectRef | None] = [None] * len(self._actors)
         calls: dict[int, ObjectRef] = {}
@@ -161,11 +220,22 @@ class RemoteHosts:
         return answers
 
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
         calls = [actor.state.remote(*self._others(index)) for index, actor in enumerate(self._actors)]
         self._last = [None] * len(self._actors)
         states: list[tuple[State, tuple[Failure, ...]]] = _get(calls)
         return states
+
+    def models(self, runs: Sequence[int]) -> list[tuple[list[State], tuple[Failure, ...]]]:
+        """See `cluster.protocols.Hosts`."""
+        calls = [actor.models.remote(runs, *self._others(index)) for index, actor in enumerate(self._actors)]
+        self._last = [None] * len(self._actors)
+        models: list[tuple[list[State], tuple[Failure, ...]]] = _get(calls)
+        return models
+
+    def close(self) -> None:
+        """See `cluster.protocols.Hosts`; hosts that are gone, or do not answer, are left alone."""
+        await_all([actor.close.remote() for actor in self._actors])
 
     def _others(self, index: int) -> list[ObjectRef]:
         return [batch for other, batch in enumerate(self._last) if other != index and batch is not None]
@@ -221,6 +291,14 @@ class Gang:
     def stop(self) -> None:
         """Ask the shard under way to write a checkpoint and end."""
         self._coordinator.stop.options(concurrency_group="control").remote()
+
+    def close(self) -> list[ObjectRef]:
+        """Ask it to close its environments; calls that end when they are."""
+        with suppress(Exception):
+            if self.is_placed():
+                calls = [host.close.remote() for host in self._hosts]
+                return [*calls, self._coordinator.close.options(concurrency_group="control").remote()]
+        return []
 
     def kill(self) -> None:
         """End all its processes and give back its CPU."""

@@ -4,19 +4,15 @@ microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
 
-from apel.compiled import is_compiled, mark_compiled
-from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
+from apel.experience.trajectory import TrajectoryBatch
 from apel.learners.base import Failure, Played, State
-from apel.registry import SELECTORS
-from apel.trajectory import TrajectoryBatch
 from cluster.coordinator import Coordinator
 from cluster.events import ShardEvent
 from cluster.learner_host import LearnerHost
 from cluster.protocols import CheckpointStore, ResultSink
-from cluster.shard import ArmPlan, Execution, RunPlan, Shard
+from cluster.shard import Execution, Shard
 
 
 class LocalHosts:
@@ -28,14 +24,15 @@ class LocalHosts:
         self._last: list[TrajectoryBatch | None] = []
 
     def prepare(self, shard: Shard, execution: Execution, states: Sequence[State] | None) -> None:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
+        self.close()
         self._hosts = [LearnerHost(records=self._records) for _ in shard.arm.learner_names]
         self._last = [None] * len(self._hosts)
         for index, host in enumerate(self._hosts):
             host.prepare(shard, index, execution, states[index] if states is not None else None)
 
     def play(self, orders: Sequence[Sequence[int]]) -> list[Played]:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
         answers = [host.play(orders[i], *self._others(i)) for i, host in enumerate(self._hosts)]
         self._last = [batch for _, batch in answers]
         return [played for played, _ in answers]
@@ -45,10 +42,21 @@ class LocalHosts:
         return list(self._last)
 
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
-        """See `cluster.coordinator.Hosts`."""
+        """See `cluster.protocols.Hosts`."""
         answers = [host.state(*self._others(i)) for i, host in enumerate(self._hosts)]
         self._last = [None] * len(self._hosts)
         return answers
+
+    def models(self, runs: Sequence[int]) -> list[tuple[list[State], tuple[Failure, ...]]]:
+        """See `cluster.protocols.Hosts`."""
+        answers = [host.models(runs, *self._others(i)) for i, host in enumerate(self._hosts)]
+        self._last = [None] * len(self._hosts)
+        return answers
+
+    def close(self) -> None:
+        """See `cluster.protocols.Hosts`."""
+        for host in self._hosts:
+            host.close()
 
     def _others(self, index: int) -> list[TrajectoryBatch]:
         return [batch for other, batch in enumerate(self._last) if other != index and batch is not None]
@@ -70,45 +78,3 @@ def run_shards(
             yield shard, event
             if stopping():
                 coordinator.stop()
-
-
-def not_compiled(selectors: Collection[str]) -> list[str]:
-    """Those of the shipped ``selectors`` whose compiled functions are not in the cache yet."""
-    return [name for name in sorted(selectors) if name in SELECTORS and not is_compiled(name)]
-
-
-def compile_for(selectors: Collection[str]) -> None:
-    """Play a few episodes with each of some shipped selectors, so that no worker has to compile what it needs.
-
-    Compiling takes some twenty seconds, once per installation, and one for each selector; without this, all workers
-    would do the same at once.
-    """
-    maze = EnvironmentConfig("apel/Maze-v0", {"size": 3, "distractors": [2], "max_steps": 20})
-    for selector in not_compiled(selectors):
-        for num_learners in (1, 2):
-            run = RunPlan(0, 0, maze, (LearnerConfig("q_learning"),) * num_learners)
-            names = tuple(f"learner {i}" for i in range(num_learners))
-            arm = ArmPlan("compile", selector, "", names, SelectorConfig(selector), "return", 5, recording="all")
-            coordinator = Coordinator(LocalHosts(), _Nowhere(), _Nowhere(), Execution(streak_episodes=2))
-            for _ in coordinator.run(Shard(arm, (run,))):
-                pass
-        mark_compiled(selector)
-
-
-class _Nowhere:
-    """Keeps nothing."""
-
-    def spill(self, *_: Any) -> None:
-        """Keep nothing."""
-
-    def commit(self, *_: Any) -> None:
-        """Keep nothing."""
-
-    def read(self, _: Shard) -> None:
-        """There is nothing."""
-
-    def write(self, *_: Any) -> None:
-        """Keep nothing."""
-
-    def delete(self, _: Shard) -> None:
-        """There is nothing."""

@@ -3,26 +3,31 @@
 There are as many gangs (`cluster.launch.Gang`) as CPUs; they are kept for the whole job, and take one shard after the
 other. A gang whose processes die is not mended: its shard waits a moment, and begins again with another gang from its
 last checkpoint.
+
+All of this is decided in `cluster.pool_state`; here Ray is asked what happened, and told what to do.
 """
 
 from __future__ import annotations
 
+import re
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import ray
 
-from cluster.errors import ClusterError, ShardLostError
-from cluster.events import ShardEvent, ShardProgress, ShardRestarted, ShardWaiting
-from cluster.launch import Gang, num_cpus_of_cluster, num_gpus_of_cluster
+from cluster import pool_events as told
+from cluster.errors import ClusterError, LostClusterError
+from cluster.events import ShardEvent
+from cluster.launch import Gang, await_all, num_cpus_of_cluster, num_gpus_of_cluster, refuse_lost_cluster
+from cluster.pool_events import PoolEvent
+from cluster.pool_state import PoolState
 from cluster.protocols import CheckpointStore, Hosts, ResultSink
-from cluster.retry import FaultCounter, RetryPolicy
+from cluster.retry import RetryPolicy
 from cluster.shard import Execution, Shard
 
-Placement = Literal["actors", "packed"]
+GangLayout = Literal["actors", "packed"]
+"""``actors``: every learner and coordinator a Ray actor of its own; ``packed``: all of a gang in one."""
 
 _INFRASTRUCTURE_FAULTS = (
     ray.exceptions.RayActorError,
@@ -34,44 +39,26 @@ _INFRASTRUCTURE_FAULTS = (
     ray.exceptions.TaskPlacementGroupRemoved,
     ray.exceptions.ActorPlacementGroupRemoved,
 )
-_POLL_SECONDS = 0.5
 _COUNT_CPUS_SECONDS = 1.0
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
-def gangs_to_hire(num_cpus: int, num_gangs: int, num_idle: int, num_waiting: int) -> int:
-    """How many gangs to start, or, where negative, how many idle ones to dismiss.
-
-    One per CPU while shards wait. Idle ones go when nothing waits, since others may want their CPUs, and when nodes
-    have left: a gang that was never placed would otherwise wait for the CPU of one that is done.
-
-    >>> gangs_to_hire(num_cpus=4, num_gangs=1, num_idle=0, num_waiting=2)
-    2
-    >>> gangs_to_hire(num_cpus=2, num_gangs=4, num_idle=1, num_waiting=5), gangs_to_hire(4, 4, 3, 0)
-    (-1, -3)
-    """
-    if num_waiting == 0:
-        return -num_idle
-    if num_gangs > num_cpus:
-        return -min(num_idle, num_gangs - num_cpus)
-    return min(num_cpus - num_gangs, max(num_waiting - num_idle, 0))
+def event_of_error(gang: int, error: ray.exceptions.RayError) -> told.GangLost | told.GangFailed:
+    """Whether the infrastructure was at fault, which may go better another time, or the code that the gang runs."""
+    # A coordinator that lost a learner passes the fault on, with an account of where, as its cause.
+    cause = getattr(error, "cause", None)
+    fault = cause if isinstance(cause, Exception) else error
+    if isinstance(fault, ray.exceptions.RayActorError) and fault.actor_init_failed:
+        return told.GangFailed(gang, ClusterError(_of_unmade_actor(str(fault))), error)
+    if isinstance(error, _INFRASTRUCTURE_FAULTS) or isinstance(fault, _INFRASTRUCTURE_FAULTS):
+        return told.GangLost(gang, str(fault).splitlines()[0], error)
+    return told.GangFailed(gang, fault, error if fault is not error else None)
 
 
-@dataclass
-class _Delayed:
-    """A shard that begins again after its back-off."""
-
-    ready_at: float
-    shard: Shard
-
-
-def _check_gpus(shards: Sequence[Shard]) -> None:
-    """A gang that wants more than there is would wait for ever."""
-    wanted = max((sum(shard.arm.learner_gpus) for shard in shards), default=0.0)
-    if wanted and wanted > (found := num_gpus_of_cluster()):
-        message = (
-            f"found {found:g} GPUs in the Ray cluster, expected at least {wanted:g}: the num_gpus of an arm's learners"
-        )
-        raise ClusterError(message)
+def _of_unmade_actor(account: str) -> str:
+    """What an actor's constructor raised, and Ray's account of it: it would do so again."""
+    lines = [line.rstrip() for line in _COLOUR.sub("", account).splitlines() if line.strip()]
+    return "\n".join((f"a process of the job could not be made ready: {lines[-1] if lines else account}", *lines))
 
 
 class ShardPool:
@@ -80,151 +67,119 @@ class ShardPool:
     def __init__(
         self,
         experiment: str,
-        placement: Placement,
+        layout: GangLayout,
         sink: ResultSink,
         checkpoints: CheckpointStore,
         execution: Execution,
         retry: RetryPolicy | None = None,
     ) -> None:
         self._experiment = experiment
-        self._placement = placement
+        self._layout = layout
         self._parts = (sink, checkpoints, execution)
-        self._faults = FaultCounter(retry or RetryPolicy())
-        self._queue: deque[Shard] = deque()
-        self._delayed: list[_Delayed] = []
-        self._idle: list[Gang] = []
-        self._active: dict[Any, tuple[Gang, Shard]] = {}
+        self._state = PoolState(retry)
         self._num_hosts = 0
-        self._num_hired = 0
-        self._num_cpus, self._counted_at = 0, -_COUNT_CPUS_SECONDS
-        self._is_stopping = self._was_starved = False
+        self._counted_at = -_COUNT_CPUS_SECONDS
+        self._gangs: dict[int, Gang] = {}
+        self._generators: dict[int, Any] = {}
+        """Of the reports of the gangs that play."""
 
     @property
     def num_restarts(self) -> int:
         """How many times a shard had to begin again."""
-        return self._faults.total
+        return self._state.num_restarts
 
     def run(
         self, shards: Sequence[Shard], stopping: Callable[[], bool] = lambda: False
     ) -> Iterator[tuple[Shard, ShardEvent]]:
         """Play all shards, in any order, until all are done or ``stopping()`` says to stop; yields what happens.
 
+        A pool plays one job, once.
+
         Raises
         ------
         ShardLostError
             If a shard's processes died too often.
+        LostClusterError
+            If the Ray that was started here has died.
         ClusterError
             If a shard wants more GPUs than the cluster has.
         """
-        _check_gpus(shards)
-        self._queue = deque(shards)
-        self._num_hosts = max((len(shard.arm.learner_names) for shard in shards), default=0)
+        if self._layout == "actors":
+            self._num_hosts = max((len(shard.arm.learner_names) for shard in shards), default=0)
         try:
-            while self._queue or self._delayed or self._active:
-                if stopping() and not self._is_stopping:
-                    self._stop()
-                yield from self._begin_shards()
-                yield from self._wait()
+            yield from self._tell(told.JobBegun(tuple(shards), num_gpus_of_cluster()))
+            while not self._state.is_over:
+                refuse_lost_cluster()
+                for event in self._noticed(stopping):
+                    yield from self._tell(event)
+        except LostClusterError:
+            self._gangs.clear()  # there is nobody who could end them, or who had to
+            raise
         finally:
-            for gang in (*self._idle, *(gang for gang, _ in self._active.values())):
-                gang.kill()
+            self._end_all()
 
-    def _stop(self) -> None:
-        """Begin nothing more; what is under way ends with a checkpoint."""
-        self._is_stopping = True
-        self._queue.clear()
-        self._delayed.clear()
-        for generator, (gang, _) in list(self._active.items()):
-            if gang.is_placed():
-                gang.stop()
-            else:  # it has no process that could hear it, and may never have one
-                del self._active[generator]
-                gang.kill()
+    def _end_all(self) -> None:
+        await_all([call for gang in self._gangs.values() for call in gang.close()])
+        for gang in self._gangs.values():
+            gang.kill()
 
-    def _begin_shards(self) -> Iterator[tuple[Shard, ShardEvent]]:
-        """Give waiting shards to gangs; workers may join or leave at any time."""
+    def _noticed(self, stopping: Callable[[], bool]) -> Iterator[PoolEvent]:
+        """What is to be seen from here, without any gang."""
+        if stopping() and not self._state.is_stopping:
+            yield told.StopAsked(frozenset(gang for gang in self._generators if self._gangs[gang].is_placed()))
         now = time.monotonic()
-        due = [one for one in self._delayed if one.ready_at <= now]
-        self._delayed = [one for one in self._delayed if one.ready_at > now]
-        self._queue.extendleft(one.shard for one in due)
         if now - self._counted_at >= _COUNT_CPUS_SECONDS:
-            self._num_cpus, self._counted_at = num_cpus_of_cluster(), now
-        self._balance()
-        # A shard that waits out its back-off keeps its place: the gang in place of its lost one is for it.
-        while self._queue and len(self._idle) > len(self._delayed):
-            shard = self._queue.popleft()
-            gang = self._take_idle(shard.arm.learner_gpus)
-            self._active[gang.start(shard)] = (gang, shard)
-        starved = bool(self._queue) and self._num_cpus == 0
-        if starved and not self._was_starved:
-            yield self._queue[0], ShardWaiting()
-        self._was_starved = starved
+            self._counted_at = now
+            yield told.CpusCounted(num_cpus_of_cluster())
+        yield told.Tick()
 
-    def _take_idle(self, gpus: Sequence[float]) -> Gang:
-        """An idle gang whose hosts have such GPUs; a new one in place of another where there is none."""
-        for gang in self._idle:
-            if gang.gpus == tuple(gpus):
-                self._idle.remove(gang)
-                return gang
-        self._idle.pop().kill()
-        return self._new_gang(gpus)
+    def _tell(self, event: PoolEvent) -> Iterator[tuple[Shard, ShardEvent]]:
+        """Do what the state answers."""
+        for instruction in self._state.handle(event, time.monotonic()):
+            match instruction:
+                case told.Report(shard, report):
+                    yield shard, report
+                case told.Wait():
+                    heard = self._heard(instruction)
+                    if heard is not None:
+                        yield from self._tell(heard)
+                case told.GiveUp(error, cause):
+                    raise error from cause
+                case _:
+                    self._order(instruction)
 
-    def _balance(self) -> None:
-        num_idle = len(self._idle)
-        num_waiting = len(self._queue) + len(self._delayed)
-        change = gangs_to_hire(self._num_cpus, num_idle + len(self._active), num_idle, num_waiting)
-        for _ in range(change):
-            self._idle.append(self._new_gang(self._wanted_gpus()))
-        for _ in range(-change):
-            self._idle.pop().kill()
+    def _order(self, instruction: told.Hire | told.Dismiss | told.Start | told.AskToStop) -> None:
+        match instruction:
+            case told.Hire(gang, gpus):
+                name = f"{self._experiment}/gang-{gang}"
+                self._gangs[gang] = Gang(name, self._num_hosts, gpus, self._coordinator_parts)
+            case told.Dismiss(gang):
+                self._generators.pop(gang, None)
+                ended = self._gangs.pop(gang)
+                await_all(ended.close())
+                ended.kill()
+            case told.Start(gang, shard):
+                self._generators[gang] = self._gangs[gang].start(shard)
+            case told.AskToStop(gang):
+                self._gangs[gang].stop()
 
-    def _wait(self) -> Iterator[tuple[Shard, ShardEvent]]:
-        generators: list[Any] = list(self._active)
-        if not generators:
-            time.sleep(_POLL_SECONDS)
-            return
-        ready: list[Any] = ray.wait(generators, num_returns=1, timeout=_POLL_SECONDS)[0]
-        for generator in ready:
-            gang, shard = self._active[generator]
-            try:
-                event: ShardEvent = ray.get(next(generator))
-            except StopIteration:
-                del self._active[generator]
-                self._idle.append(gang)
-                continue
-            except ray.exceptions.RayError as error:
-                del self._active[generator]
-                gang.kill()
-                event = self._recover(shard, error)
-            if isinstance(event, ShardProgress):
-                self._faults.progressed(shard.key, event.episodes)
-            yield shard, event
+    def _heard(self, wait: told.Wait) -> PoolEvent | None:
+        """What one of the gangs has to say; None where none has."""
+        if not wait.gangs:
+            time.sleep(wait.seconds)
+            return None
+        gangs = {self._generators[gang]: gang for gang in wait.gangs}
+        ready: list[Any] = ray.wait(list(gangs), num_returns=1, timeout=wait.seconds)[0]
+        return self._next_event(gangs[ready[0]]) if ready else None
 
-    def _recover(self, shard: Shard, error: ray.exceptions.RayError) -> ShardRestarted:
-        """Let the shard begin again, from its checkpoint, if the infrastructure was at fault."""
-        # A coordinator that lost a learner passes the fault on, with an account of where, as its cause.
-        cause = getattr(error, "cause", None)
-        fault = cause if isinstance(cause, Exception) else error
-        if not isinstance(error, _INFRASTRUCTURE_FAULTS) and not isinstance(fault, _INFRASTRUCTURE_FAULTS):
-            raise fault
-        line = str(fault).splitlines()[0]
-        delay = self._faults.failed(shard.key)
-        if delay is None:
-            message = f"{shard.label}: its processes died {self._faults.in_a_row(shard.key)} times; the last: {line}"
-            raise ShardLostError(message) from error
-        if not self._is_stopping:
-            self._delayed.append(_Delayed(time.monotonic() + delay, shard))
-        return ShardRestarted(self._faults.in_a_row(shard.key), delay, line)
-
-    def _wanted_gpus(self) -> Sequence[float]:
-        """Those of the next shard in the queue."""
-        return self._queue[0].arm.learner_gpus if self._queue else ()
-
-    def _new_gang(self, gpus: Sequence[float]) -> Gang:
-        name = f"{self._experiment}/gang-{self._num_hired}"
-        self._num_hired += 1
-        num_hosts = self._num_hosts if self._placement == "actors" else 0
-        return Gang(name, num_hosts, gpus, self._coordinator_parts)
+    def _next_event(self, gang: int) -> PoolEvent:
+        try:
+            return told.GangReported(gang, ray.get(next(self._generators[gang])))
+        except StopIteration:
+            del self._generators[gang]
+            return told.GangFreed(gang)
+        except ray.exceptions.RayError as error:
+            return event_of_error(gang, error)
 
     def _coordinator_parts(self, hosts: Hosts) -> tuple[Any, ...]:
         return (hosts, *self._parts)

@@ -9,8 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.book import EpisodeRows
+from apel.agents.content import AgentContent
 from apel.learners.base import Failure, Played, State
+from apel.run.state import EpisodeRows
 from cluster.shard import Execution, Shard
 
 
@@ -28,7 +29,13 @@ class RunRows:
     steps: NDArray[np.int64]
     steady_state: NDArray[np.float64]
     """Mean return of the last episodes before the cap; NaN where nobody asked for it, or the run ended before."""
+    last_tenth_return: NDArray[np.float64]
+    """Mean return of the last tenth of the run, see `cluster.last_tenth`; NaN where it ended before its cap."""
     info: tuple[dict[str, float], ...]
+
+
+_NOTHING = np.zeros(0, dtype=np.int64)
+NO_RUN_ROWS = RunRows(_NOTHING, _NOTHING, np.zeros(0, dtype=np.bool_), _NOTHING, _NOTHING, np.zeros(0), np.zeros(0), ())
 
 
 class Hosts(Protocol):
@@ -46,16 +53,40 @@ class Hosts(Protocol):
         """The states of all hosts, after they have learned from what the others played last, and where that failed."""
         ...
 
+    def models(self, runs: Sequence[int]) -> list[tuple[list[State], tuple[Failure, ...]]]:
+        """The learners of ``runs`` of every host, as `LearnerHost.models` gives them."""
+        ...
+
+    def close(self) -> None:
+        """Close the environments; what was prepared is over."""
+        ...
+
 
 class ResultSink(Protocol):
     """Where a shard's rows go. Nothing is seen before `commit`."""
 
-    def spill(self, shard: Shard, part: int, rows: Sequence[EpisodeRows]) -> None:
-        """Put rows aside, in a place that is overwritten if the part is written again."""
+    def spill(self, shard: Shard, part: int, rows: Sequence[EpisodeRows]) -> str:
+        """Put rows aside, in a place that is overwritten if the part is written again; returns their checksum."""
         ...
 
-    def commit(self, shard: Shard, runs: RunRows, num_parts: int, rows: Sequence[EpisodeRows]) -> None:
-        """Store the rows of the finished runs: those put aside, then ``rows``."""
+    def commit(self, shard: Shard, runs: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
+        """Store the rows of the finished runs: those put aside, whose checksums are ``parts``, then ``rows``.
+
+        Raises
+        ------
+        CheckpointError
+            If what was put aside is not there any more as it was.
+        """
+        ...
+
+    def keep(self, shard: Shard, position: int, mark: str, model: AgentContent) -> None:
+        """Store what a run has come to at ``mark``, such as its end; it replaces what was stored there.
+
+        Raises
+        ------
+        CheckpointError
+            If a learner's state is nothing that can be stored.
+        """
         ...
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
@@ -11,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
-from apel.metrics import Criterion
+from apel.configs import EnvironmentConfig, LearnerConfig, Named, SelectorConfig
+from apel.run.criterion import Criterion
 
 _LOG_STEPS = (1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
 
@@ -24,11 +26,22 @@ class Every:
     every: int = Field(ge=1)
 
 
-Recording = Literal["all", "log", "none"] | Every
+RecordingRule = Literal["all", "log", "none"] | Every
 """Which episodes get a row: all; log-spaced ones (thirteen a decade); none; every n-th."""
 
 
-def recorded_episodes(recording: Recording, num_episodes: int) -> NDArray[np.bool_]:
+@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class EverySteps:
+    """Keep a run's model with the episode in which its steps reach a multiple of this, and at its end."""
+
+    every_steps: int = Field(ge=1)
+
+
+ModelRule = Literal["none", "final"] | EverySteps
+"""Which models of a run are kept: none; that of its end; those on the way too."""
+
+
+def recorded_episodes(recording: RecordingRule, num_episodes: int) -> NDArray[np.bool_]:
     """``bool[episodes]``: which episodes get a row.
 
     >>> np.flatnonzero(recorded_episodes("log", 40)).tolist()
@@ -78,7 +91,7 @@ class ArmPlan:
     sweep: str
     learner_names: tuple[str, ...]
     selector: SelectorConfig
-    performance: str
+    performance: Named
     num_episodes: int
     num_steps: int | None = None
     """A run ends also with the episode in which its steps reach this number."""
@@ -86,11 +99,15 @@ class ArmPlan:
     stops_when_met: bool = True
     steady_state_episodes: int = 0
     """The steady state is the mean return of so many episodes before the cap; 0 where nobody asks for it."""
-    recording: Recording = "none"
+    recording: RecordingRule = "none"
+    models: ModelRule = "none"
+    """Which trained learners are kept beside the rows."""
     sweep_values: Mapping[str, Any] = field(default_factory=dict)
     """What the sweep point stands for, by the name of each axis."""
     learner_gpus: tuple[float, ...] = ()
     """The share of GPUs that each learner's process gets; empty where none gets any."""
+    identity: str = ""
+    """Of the experiment: it changes with everything that changes a row."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +123,27 @@ class Shard:
         return self.arm.arm, self.arm.sweep, self.runs[0].index
 
     @property
+    def pause_every(self) -> int:
+        """See `apel.run.state.Book`."""
+        return self.arm.models.every_steps if isinstance(self.arm.models, EverySteps) else 0
+
+    @property
     def label(self) -> str:
         """For people: ``APEL · runs 0-49``."""
         sweep = f" [{self.arm.sweep}]" if self.arm.sweep else ""
         return f"{self.arm.arm}{sweep} · runs {self.runs[0].index}-{self.runs[-1].index}"
+
+    @property
+    def binding(self) -> dict[str, str]:
+        """What any stored state of this very shard says of itself."""
+        runs = json.dumps([[run.index, run.seed] for run in self.runs])
+        return {
+            "identity": self.arm.identity,
+            "arm": self.arm.arm,
+            "sweep point": self.arm.sweep,
+            "runs": f"{self.runs[0].index}-{self.runs[-1].index}" if self.runs else "",
+            "seeds": hashlib.sha256(runs.encode()).hexdigest()[:16],
+        }
 
     def without(self, positions: Sequence[int]) -> Self:
         """The shard without the runs at some positions."""
@@ -136,6 +170,8 @@ class Execution:
         How long a host may play before it reports back; bounds how long a stop, or a checkpoint, has to wait.
     progress_seconds:
         Least time between two reports of its progress.
+    raises:
+        What users' code raises is raised, and not only told of: for a debugger.
     """
 
     streak_episodes: int = 200
@@ -145,3 +181,4 @@ class Execution:
     checkpoint_share: float = 0.05
     round_seconds: float = 2.0
     progress_seconds: float = 0.25
+    raises: bool = False

@@ -7,23 +7,30 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Literal, get_args
 
 import pyarrow as pa
 
+from cluster.compiling import compile_for, not_compiled
 from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardEvent
-from cluster.local import compile_for, not_compiled, run_shards
+from cluster.local import run_shards
 from cluster.shard import Execution, Shard
-from cluster.storage_faults import StorageAwayError, StorageError
-from jobs.lease import BusyError, Lease, lease, this_owner
-from jobs.manifest import add_session, new_manifest
-from jobs.observers import NO_OBSERVER, Ending, Observer
-from jobs.plan import RunKey, all_run_keys, arm_points, plan_shards
-from jobs.progress import JobProgress
-from jobs.spec import Experiment
-from jobs.store import CheckpointFiles, ParquetSink, ResultStore, StoreError
-from jobs.validation import check
+from jobs.experiment.plan import Plan, RunKey
+from jobs.experiment.resumption import resumption_notes
+from jobs.experiment.spec import Experiment
+from jobs.experiment.validation import check
+from jobs.precautions import of_this_machine, refuse_settings, refuse_shadowing
+from jobs.progress.arm_clock import ArmClock
+from jobs.progress.observers import NO_OBSERVER, Ending, Observer, told_if_it_lasts
+from jobs.progress.progress import JobProgress
+from jobs.results.failures import FailureFiles
+from jobs.results.lease import BusyError, Lease, lease, this_owner
+from jobs.results.manifest import add_session, new_manifest
+from jobs.results.provenance import of_other_sources, of_other_versions
+from jobs.results.storage_faults import StorageAwayError, StorageError
+from jobs.results.store import CheckpointFiles, ParquetSink, ResultStore, StoreError
+from jobs.rounds import AllAtOnce, Rounds, UntilDecided, refuse_undecidable
 
 Placement = Literal["actors", "packed", "local"]
 Stopping = Callable[[], bool]
@@ -49,6 +56,9 @@ class Settings:
         Forget earlier results.
     job:
         Id of the submitted job that this process is; empty for none.
+    error:
+        Add runs in rounds until the best arm is decided with this probability to be wrong, or all are there; None: play
+        all of them. See `jobs.rounds.UntilDecided`.
     """
 
     results: str = "results"
@@ -61,6 +71,11 @@ class Settings:
     dashboard: bool = True
     execution: Execution = field(default_factory=Execution)
     job: str = ""
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        counts = {"shard_size": self.shard_size, "num_cpus": self.num_cpus}
+        refuse_settings(self.placement, get_args(Placement), **counts)
 
 
 @dataclass
@@ -78,6 +93,8 @@ class Outcome:
     """From the first shard to the last row, the cluster's start apart."""
     was_stopped: bool = False
     """Whether it was asked to stop before all was done."""
+    told: str = ""
+    """Why not all runs were played, where they were added until something was decided."""
 
 
 def run_experiment(
@@ -86,7 +103,23 @@ def run_experiment(
     observer: Observer = NO_OBSERVER,
     stopping: Stopping = lambda: False,
 ) -> Outcome:
-    """Compute all runs that are missing, and make the summary.
+    """Compute all runs of an experiment that are missing, and make the summary; see `run_planned`.
+
+    Raises
+    ------
+    SpecError
+        If a combination of swept values is not a valid experiment.
+    """
+    return run_planned(Plan.of(experiment), settings, observer, stopping)
+
+
+def run_planned(
+    plan: Plan,
+    settings: Settings,
+    observer: Observer = NO_OBSERVER,
+    stopping: Stopping = lambda: False,
+) -> Outcome:
+    """Compute all runs of a plan (of all arms, of which the settings choose) that are missing, and make the summary.
 
     Once ``stopping()`` is true, the shards under way write checkpoints, and what is finished is summarised. An
     exception that interrupts it leaves every finished shard stored, and the others at their last checkpoint.
@@ -102,13 +135,18 @@ def run_experiment(
     ClusterError
         If the cluster cannot be reached, or loses a shard too often.
     """
-    check(experiment, settings.arms)
-    store = ResultStore.of(experiment, settings.results)
+    refuse_shadowing()
+    if settings.error is not None:
+        refuse_undecidable(plan.only(settings.arms))
+    check(plan, settings.arms)
+    if settings.address is None:
+        of_this_machine(plan.only(settings.arms), settings.placement, settings.num_cpus, observer.noted)
+    store = ResultStore.of(plan.experiment, settings.results)
     outcome = Outcome(store, pa.table({}))
     ending: Ending = "broken"
     with _held(store, settings.job, observer) as held:
         try:
-            _work(experiment, settings, store, observer, outcome, lambda: stopping() or held.is_lost)
+            _work(plan, settings, store, observer, outcome, lambda: stopping() or held.is_lost)
             if held.is_lost:
                 message = f"{store.folder.location()}: another job has taken these results over; this one has ended"
                 raise BusyError(message)
@@ -132,24 +170,42 @@ def _held(store: ResultStore, job: str, observer: Observer) -> Iterator[Lease]:
 
 
 def _work(
-    experiment: Experiment,
+    plan: Plan,
     settings: Settings,
     store: ResultStore,
     observer: Observer,
     outcome: Outcome,
     stopping: Stopping,
 ) -> None:
-    store.open_for_writing(experiment, fresh=settings.fresh)
-    finished = store.finished()
-    if _is_complete(experiment, settings.arms, finished):
+    store.say = observer.noted
+    for message in (
+        *of_other_sources(plan.experiment, settings.results),
+        *([] if settings.fresh else of_other_versions(plan.experiment, store.manifest())),
+    ):
+        observer.noted(message)
+    store.open_for_writing(plan.experiment, fresh=settings.fresh)
+    finished: Collection[RunKey] = store.finished(plan)
+    rounds = _rounds(plan, settings, store)
+    if rounds.next(finished) is None:
         progress = JobProgress()
         progress.planned([], finished)
         observer.planned(progress)
-        _summarise(experiment, store, outcome)
-        return
-    # What is finished can be read like any result.
-    with _afterwards(lambda: _summarise(experiment, store, outcome)):
-        _compute(experiment, settings, store, finished, observer, outcome, stopping)
+        _summarise(plan, store, outcome)
+    else:
+        # What is finished can be read like any result.
+        with _afterwards(lambda: _summarise(plan, store, outcome)):
+            finished = _compute(
+                plan.only(settings.arms), rounds, settings, store, finished, observer, outcome, stopping
+            )
+    if not outcome.was_stopped and not outcome.failures:
+        outcome.told = rounds.told(finished)
+
+
+def _rounds(plan: Plan, settings: Settings, store: ResultStore) -> Rounds:
+    wanted = plan.only(settings.arms)
+    if settings.error is None:
+        return AllAtOnce(wanted)
+    return UntilDecided(wanted, settings.error, lambda: store.consolidate(plan))
 
 
 @contextmanager
@@ -167,63 +223,84 @@ def _afterwards(act: Callable[[], None]) -> Iterator[None]:
     act()
 
 
-def _summarise(experiment: Experiment, store: ResultStore, outcome: Outcome) -> None:
-    if store.finished():
+def _summarise(plan: Plan, store: ResultStore, outcome: Outcome) -> None:
+    if store.folder.names("parts"):
         # With scipy's statistics, which take half a second to import: longer than most commands.
         from jobs.analysis.statistics import summarise
 
-        outcome.summary = summarise(store.consolidate(experiment))
-        store.write_table("summary.parquet", outcome.summary)
-
-
-def _is_complete(experiment: Experiment, arms: Collection[str] | None, finished: Collection[RunKey]) -> bool:
-    return all(key in finished for key in all_run_keys(experiment, arms))
+        runs = store.consolidate(plan)
+        outcome.summary = summarise(runs)
+        store.write_summary(outcome.summary, runs)
 
 
 def _compute(
-    experiment: Experiment,
+    plan: Plan,
+    rounds: Rounds,
     settings: Settings,
     store: ResultStore,
-    finished: Collection[RunKey],
+    before: Collection[RunKey],
     observer: Observer,
     outcome: Outcome,
     stopping: Stopping,
-) -> None:
-    arms = [point.experiment.arms[arm] for point, arm in arm_points(experiment, settings.arms)]
-    selectors = {"fixed", *(spec.selector.type for spec in arms if spec.selector)}
-    if not_compiled(selectors):
-        observer.compiling()
-        compile_for(selectors)
-    clock, progress = _ArmClock(), JobProgress()
-    with _player(experiment, settings, store, observer, stopping) as (num_cpus, play):
-        shards = plan_shards(experiment, settings.shard_size, settings.arms, finished, num_cpus)
-        progress.planned(shards, finished)
-        observer.planned(progress)
+) -> Collection[RunKey]:
+    """Play what ``rounds`` say, round by round; returns the runs that are finished then."""
+    if not_compiled(plan.compiled_parts):
+        with told_if_it_lasts(observer.compiling):
+            compile_for(plan.compiled_parts)
+    notes = resumption_notes(plan)
+    for note in notes:
+        observer.noted(note)
+    clock, progress = ArmClock(), JobProgress()
+    FailureFiles(store.folder).forget()
+    with _player(plan.experiment.name, settings, store, observer, stopping) as (num_cpus, play):
         began, started = datetime.now(UTC), time.monotonic()
 
         def keep_accounts() -> None:
-            manifest = store.manifest() or new_manifest(experiment)
+            manifest = store.manifest() or new_manifest(plan.experiment)
             session = (began, outcome.seconds, settings.placement, num_cpus, clock.arms)
-            store.write_manifest(add_session(manifest, experiment, *session))
+            store.write_manifest(add_session(manifest, plan, *session, notes))
+
+        def play_round(due: Plan, finished: Collection[RunKey]) -> None:
+            shards = due.shards(num_cpus=num_cpus, shard_size=settings.shard_size, finished=finished)
+            progress.planned(shards, before)
+            observer.planned(progress)
+            _take_in(play(shards), outcome, FailureFiles(store.folder), clock, progress, observer)
+            outcome.was_stopped = clock.num_shards < progress.num_shards
 
         with _afterwards(keep_accounts):
             try:
-                for shard, event in play(shards):
-                    progress.progressed(shard, event)
-                    observer.progressed(shard, event, progress)
-                    if isinstance(event, ShardDone):
-                        clock.add(shard, event)
-                        outcome.failures += event.failures
-                        outcome.num_computed += len(shard.runs) - len(event.failures)
-                outcome.was_stopped = clock.num_shards < len(shards)
+                finished = before
+                while not (outcome.was_stopped or outcome.failures) and (due := rounds.next(finished)) is not None:
+                    play_round(due, finished)
+                    finished = {*finished, *due.run_keys()}
             finally:
                 outcome.seconds = time.monotonic() - started
                 outcome.num_restarts = progress.num_restarts
+    return finished
+
+
+def _take_in(
+    events: Iterator[tuple[Shard, ShardEvent]],
+    outcome: Outcome,
+    files: FailureFiles,
+    clock: ArmClock,
+    progress: JobProgress,
+    observer: Observer,
+) -> None:
+    """Tell everybody of what happens."""
+    for shard, event in events:
+        progress.progressed(shard, event)
+        observer.progressed(shard, event, progress)
+        if isinstance(event, ShardDone):
+            clock.add(shard, event)
+            outcome.failures += event.failures
+            files.add(event.failures)
+            outcome.num_computed += len(shard.runs) - len(event.failures)
 
 
 @contextmanager
 def _player(
-    experiment: Experiment, settings: Settings, store: ResultStore, observer: Observer, stopping: Stopping
+    experiment: str, settings: Settings, store: ResultStore, observer: Observer, stopping: Stopping
 ) -> Iterator[tuple[int, Callable[[Sequence[Shard]], Iterator[tuple[Shard, ShardEvent]]]]]:
     """Something that plays shards, and how many CPUs it has."""
     sink, checkpoints = ParquetSink(store.folder), CheckpointFiles(store.folder)
@@ -236,25 +313,5 @@ def _player(
 
     with ray_cluster(settings.address, settings.num_cpus, dashboard=settings.dashboard) as info:
         observer.joined(info.dashboard_url, info.num_cpus, info.log_folder)
-        pool = ShardPool(experiment.name, settings.placement, sink, checkpoints, settings.execution)
-        yield info.num_cpus, lambda shards: pool.run(shards, stopping)
-
-
-class _ArmClock:
-    """Wall time and steps of each arm, from the ends of its shards."""
-
-    def __init__(self) -> None:
-        self.arms: dict[str, dict[str, float]] = {}
-        self.num_shards = 0
-        self._spans: dict[str, tuple[float, float]] = {}
-
-    def add(self, shard: Shard, done: ShardDone) -> None:
-        self.num_shards += 1
-        now = time.monotonic()
-        first, _ = self._spans.get(shard.arm.arm, (now - done.seconds, now))
-        first = min(first, now - done.seconds)
-        self._spans[shard.arm.arm] = first, now
-        entry = self.arms.setdefault(shard.arm.arm, {"steps": 0, "rounds": 0})
-        entry["steps"] += done.steps
-        entry["rounds"] += done.rounds
-        entry["seconds"] = now - first
+        parts = experiment, settings.placement, sink, checkpoints, settings.execution
+        yield info.num_cpus, lambda shards: ShardPool(*parts).run(shards, stopping)

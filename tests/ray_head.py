@@ -6,18 +6,21 @@ import os
 import secrets
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 
-BIN = Path(sys.executable).parent
+from tests.forks import BIN
+from tests.processes import apel
+
+# Secrets for which whatever a cluster writes may be searched.
+PLANTED = {"AWS_ACCESS_KEY_ID": "planted-key-4711", "AWS_SECRET_ACCESS_KEY": "planted-secret-4711"}
 
 
 @dataclass(frozen=True)
@@ -29,15 +32,14 @@ class Head:
     metrics_url: str
     env: Mapping[str, str]
     temp_dir: str
+    program: Callable[..., subprocess.CompletedProcess[str]] = apel
+    """How ``apel`` is called: as a user does, unless it is forked (`tests.forks.apel`)."""
 
     def apel(
-        self, *words: str, cwd: Path, check: bool = True, timeout: float = 120.0
+        self, *words: str, cwd: Path, check: bool = True, timeout: float = 400.0
     ) -> subprocess.CompletedProcess[str]:
         """Call ``apel`` as a user of this cluster."""
-        command = [str(BIN / "apel"), *words]
-        return subprocess.run(
-            command, cwd=cwd, env=dict(self.env), check=check, timeout=timeout, capture_output=True, text=True
-        )
+        return self.program(*words, cwd=cwd, env=self.env, check=check, timeout=timeout)
 
     def kill(self) -> None:
         """Kill all its processes at once, as a machine that loses its power does."""
@@ -80,13 +82,11 @@ def ray_head(
         f"--metrics-export-port={metrics}", f"--ray-client-server-port={client}", f"--num-cpus={num_cpus}",
         "--dashboard-host=127.0.0.1", "--object-store-memory=200000000", f"--temp-dir={temp_dir}",
     ]  # fmt: skip
-    with _started(["--head", *options], env):
+    with _started(["--head", *options], env) as process:
         url = f"http://127.0.0.1:{dashboard}"
-        _wait_for(f"{url}/api/gcs_healthz")
         # Written once the head has started as a whole.
         current = Path(temp_dir, "ray_current_cluster")
-        while not current.exists():
-            time.sleep(0.1)
+        _wait_for(process, lambda: _answers(f"{url}/api/gcs_healthz") and current.exists())
         address = current.read_text().strip()
         yield Head(url, address, f"http://127.0.0.1:{metrics}/metrics", env, temp_dir)
 
@@ -104,16 +104,20 @@ def _started(options: Sequence[str], env: Mapping[str, str]) -> Iterator[subproc
         process.kill()
 
 
-def _wait_for(url: str, seconds: float = 90.0) -> None:
+def _wait_for(process: subprocess.Popen[bytes], is_there: Callable[[], bool], seconds: float = 400.0) -> None:
     deadline = time.monotonic() + seconds
-    while True:
-        try:
-            with urllib.request.urlopen(url, timeout=5):
-                return
-        except OSError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.2)
+    while not is_there():
+        assert process.poll() is None, f"the head ended with {process.returncode} before it was there"
+        assert time.monotonic() < deadline, f"the head was not there after {seconds:.0f} s"
+        time.sleep(0.1)
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=5):
+            return True
+    except OSError:
+        return False
 
 
 def free_ports(count: int) -> list[int]:

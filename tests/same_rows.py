@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from jobs.experiment.spec_files import load_experiment
 from jobs.runner import Outcome, Settings, run_experiment
-from jobs.spec_files import load_experiment
 
 
 def run_rows(folder: Path) -> pd.DataFrame:
@@ -39,9 +39,13 @@ def play(spec: Path, results: Path, *overrides: str, **settings: object) -> Path
     return folder_of(outcome)
 
 
-def assert_same(one: Path, other: Path) -> None:
-    """Runs and episodes are equal, value for value, and there are some."""
+def assert_same(one: Path, other: Path, *arms: str) -> None:
+    """Runs and episodes are equal, value for value, and there are some; ``other`` may have only some ``arms``."""
     runs, episodes = run_rows(one), episode_rows(one)
+    if arms:
+        assert {*arms} <= {*runs["arm"]}
+        runs = runs[runs["arm"].isin(arms)].reset_index(drop=True)
+        episodes = episodes[episodes["arm"].isin(arms)].reset_index(drop=True)
     assert len(runs) > 0
     assert len(episodes) > 0
     pd.testing.assert_frame_equal(runs, run_rows(other), check_exact=True)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from apel.registry import SELECTORS
+from apel.building.registry import SELECTORS
 
 ROOT = Path(__file__).parent.parent
 MONITORING = ROOT / "monitoring"
@@ -136,7 +136,7 @@ def test_extras_of_the_image() -> None:
     assert build["args"]["EXTRAS"] == "${APEL_EXTRAS:-}"
     dockerfile = (ROOT / "Dockerfile").read_text()
     extras = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
-    (named,) = re.findall(r"tabular learners: (.*), or several", dockerfile)
+    (named,) = re.findall(r"beside the service: (.*), or several", dockerfile)
     assert set(named.split(", ")) <= extras
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -39,12 +40,26 @@ class Corridor(gymnasium.Env[int, int]):
         if self._episode >= self._fault_episode and self._fault == "raise":
             message = "the motor is stuck"
             raise OSError(message)
+        if self._episode >= self._fault_episode and self._fault == "exit":
+            sys.exit("the window was closed")
         self._steps += 1
         self._cell = min(max(self._cell + (1 if action else -1), 0), 4)
         reward = 1.0 if self._cell == 4 else -0.1
         if self._episode >= self._fault_episode and self._fault == "nan":
             reward = float("nan")
         return self._cell, reward, self._cell == 4, self._steps >= 30, {}
+
+
+class Marked(Corridor):
+    """A file in ``folder`` says that it is open."""
+
+    def __init__(self, folder: str, fault: str = "", episode: int = 40) -> None:
+        super().__init__(fault, episode)
+        self._mark = Path(folder, f"{os.getpid()}-{id(self)}")
+        self._mark.touch()
+
+    def close(self) -> None:
+        self._mark.unlink()
 
 
 class Walker:
@@ -132,20 +147,13 @@ class Choosy(Walker):
 class RoundRobin:
     """A selector in plain Python: each learner in turn."""
 
-    def parameters(self) -> Any:
-        return np.zeros(0)
+    fields: ClassVar[dict[str, list[float]]] = {"episode": [0.0]}
 
-    def initial_state(self, num_learners: int, num_episodes: int) -> Any:
-        return np.concatenate([np.full(num_learners, 1 / num_learners), np.full(2 * num_learners, np.nan), [0.0]])
+    def select(self, state: Any, rng: np.random.Generator) -> int:
+        return int(state.episode[0]) % len(state.probability)
 
-    @staticmethod
-    def select(parameters: Any, num_learners: int, state: Any, stream: Any) -> int:
-        return int(state[-1]) % num_learners
-
-    @staticmethod
-    def observe(parameters: Any, num_learners: int, state: Any, selected: int, performance: float) -> None:
-        state[num_learners + selected] = performance
-        state[-1] += 1
+    def observe(self, state: Any, selected: int, performance: float) -> None:
+        state.episode[0] += 1
 
 
 def shortness(trajectory: Trajectory) -> float:
@@ -192,3 +200,8 @@ class SeesGpus(Walker):
             message = f"found the GPUs {visible}, expected {self.expected}"
             raise RuntimeError(message)
         return super().act(observation)
+
+
+def leave(*_: Any, **__: Any) -> None:
+    """Ends the program, as a learner."""
+    sys.exit()

@@ -2,13 +2,26 @@
 
 import gymnasium
 
-from apel.environments.batched import batched_environment
+from apel.environments.batched import batched_environment, environment_list, way_of_play
 from apel.environments.cartpole import CartPole
+from apel.environments.closing import close_environments
 from apel.environments.factory import World, make_world
 from apel.environments.finite_environment import FiniteEnvironment
+from apel.environments.joint_actions import JointActions
 from apel.environments.maze import Maze
 
-__all__ = ["CartPole", "FiniteEnvironment", "Maze", "World", "batched_environment", "make_world"]
+__all__ = [
+    "CartPole",
+    "FiniteEnvironment",
+    "JointActions",
+    "Maze",
+    "World",
+    "batched_environment",
+    "close_environments",
+    "environment_list",
+    "make_world",
+    "way_of_play",
+]
 
 # The maze truncates itself (its tables carry the limit), so that no TimeLimit wrapper is registered on top.
 gymnasium.register(id="apel/Maze-v0", entry_point="apel.environments.maze:Maze")

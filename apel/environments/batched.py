@@ -1,28 +1,33 @@
-"""The environments of several runs in lockstep, each kind as fast as it can be (`apel.batched.BatchedEnvironment`).
+"""The environments of several runs in lockstep, each kind as fast as it can be (see
+`apel.dynamics.batched_environment`).
 
 Whatever the kind, run r plays value for value what its own environment would play alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.batched import BatchedEnvironment, Runs, Stepped
-from apel.channels import entry_layout
-from apel.compiled import njit
-from apel.environments.cartpole import batched_cart_pole
+from apel.dynamics.batched_environment import BatchedEnvironment, Runs, Stepped
+from apel.dynamics.finite_model import (
+    FiniteModel,
+    FiniteTables,
+    draw_distractor,
+    draw_outcome,
+    draw_start,
+    stack_models,
+)
+from apel.dynamics.worlds import FiniteWorld
+from apel.environments.cartpole import CartPole, batched_cart_pole, obstacle_to_batch
+from apel.environments.environment_list import EnvironmentList
 from apel.environments.factory import World
 from apel.environments.misuse import NO_EPISODE, check_under_way
-from apel.finite import FiniteModel, FiniteTables, draw_distractor, draw_outcome, draw_start, stack_models
-from apel.streams import Stream, start_stream
-
-_Outcome = tuple[NDArray[Any], float, bool, bool]
-"""Entry, reward, terminated, truncated of one environment."""
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, start_stream, stream_of_seed
 
 
 def batched_environment(worlds: Sequence[World]) -> BatchedEnvironment:
@@ -36,8 +41,24 @@ def batched_environment(worlds: Sequence[World]) -> BatchedEnvironment:
     models = [world.model for world in worlds if world.model is not None]
     if len(models) == len(worlds):
         return BatchedFinite(models)
-    environments = [world.environment for world in worlds]
-    return batched_cart_pole(environments) or EnvironmentList(environments)
+    return batched_cart_pole([world.environment for world in worlds]) or environment_list(worlds)
+
+
+def environment_list(worlds: Sequence[World]) -> EnvironmentList:
+    """The environments of these runs as they are: whoever looks at one sees what is played."""
+    sizes = {None if world.model is None else tuple(world.model.feature_sizes) for world in worlds}
+    feature_sizes = sizes.pop() if len(sizes) == 1 else None
+    return EnvironmentList([world.environment for world in worlds], feature_sizes, worlds[0].observations)
+
+
+def way_of_play(world: World) -> str:
+    """How the environment of a run is played, and why, in words."""
+    if world.model is not None:
+        return f"played by its tables ({world.reason})"
+    is_cart_pole = isinstance(world.environment.unwrapped, CartPole)
+    if is_cart_pole and (obstacle := obstacle_to_batch(world.environment)) is None:
+        return "all runs of a shard at once (CartPole, unchanged)"
+    return f"step by step: {obstacle if is_cart_pole else world.reason}"
 
 
 class BatchedFinite:
@@ -91,6 +112,15 @@ class BatchedFinite:
     def decode(self, entries: NDArray[Any]) -> NDArray[np.int64]:
         """``int64[…, features]``, or ``int64[…]`` where there is only one feature."""
         return self._values[entries]
+
+    def world(self, run: int) -> FiniteWorld:
+        """See `apel.dynamics.worlds.HasWorlds`."""
+        room = np.zeros(1, dtype=np.int64), np.zeros(2, dtype=np.uint64)
+        return FiniteWorld(self._world, int(self._world.model[run]), self._world.max_steps, *room)
+
+    def start(self, seed: int) -> Stream:
+        """See `apel.dynamics.worlds.HasWorlds`: the stream of the episode."""
+        return stream_of_seed(seed)
 
     def _room(self, count: int) -> Stepped:
         return Stepped(
@@ -146,59 +176,3 @@ def _step_runs(
         truncated[i] = not terminated[i] and steps[run] >= world.max_steps
         if terminated[i] or truncated[i]:
             steps[run] = NO_EPISODE
-
-
-class EnvironmentList:
-    """Any environments with Discrete actions, one after the other; entries are raw observations.
-
-    What an environment raises ends nothing but its own step: it is reported in `Stepped.errors`.
-    """
-
-    def __init__(self, environments: Sequence[gymnasium.Env[Any, Any]]) -> None:
-        self._environments = environments
-        self._shape, self._type = entry_layout(environments[0].observation_space)
-
-    def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
-        """Start an episode of each run with its seed."""
-        return self._call(_reset, runs, map(int, seeds))
-
-    def step(self, runs: Runs, actions: NDArray[np.int64]) -> Stepped:
-        """Play one action, counted from 0, in each run."""
-        return self._call(_step, runs, actions.tolist())
-
-    def decode(self, entries: NDArray[Any]) -> NDArray[Any]:
-        """Entries are raw observations."""
-        return entries
-
-    def _call(self, function: Callable[[Any, int], _Outcome], runs: Runs, arguments: Iterable[int]) -> Stepped:
-        outcomes: list[_Outcome] = []
-        errors: dict[int, str] = {}
-        for position, (run, argument) in enumerate(zip(runs.tolist(), arguments, strict=True)):
-            environment = self._environments[run]
-            try:
-                outcome = function(environment, argument)
-                self._check(outcome[0])
-                outcomes.append(outcome)
-            except Exception as error:  # noqa: BLE001 - whatever a user's code raises ends this run, and only this one
-                errors[position] = f"{type(error).__name__}: {error}"
-                outcomes.append((np.zeros(self._shape, dtype=self._type), 0.0, False, False))
-        entry, reward, terminated, truncated = zip(*outcomes, strict=True)
-        return Stepped(np.stack(entry), np.array(reward), np.array(terminated), np.array(truncated), errors)
-
-    def _check(self, entry: NDArray[Any]) -> None:
-        """It stands beside others'."""
-        if entry.shape != self._shape:
-            message = f"found an observation of shape {entry.shape}, expected {self._shape}"
-            raise ValueError(message)
-
-
-def _reset(environment: gymnasium.Env[Any, Any], seed: int) -> _Outcome:
-    observation, _ = environment.reset(seed=seed)
-    return np.array(observation), 0.0, False, False
-
-
-def _step(environment: gymnasium.Env[Any, Any], action: int) -> _Outcome:
-    first = int(environment.action_space.start)  # type: ignore[attr-defined]
-    observation, reward, terminated, truncated, _ = environment.step(action + first)
-    # A copy, since environments may reuse their arrays.
-    return np.array(observation), float(reward), bool(terminated), bool(truncated)

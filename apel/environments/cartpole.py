@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, get_args
+from copy import copy
+from functools import cache
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import gymnasium
 import numpy as np
@@ -18,11 +20,16 @@ from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from apel.batched import Runs, Stepped
+from apel.dynamics.batched_environment import Runs, Stepped
+from apel.dynamics.worlds import CartPoleWorld, trigonometry
+from apel.environments.comparison import plays_beside_its_batch
 from apel.environments.drawing import draw_cart_pole
 from apel.environments.misuse import NO_EPISODE, check_step, check_under_way
+from apel.environments.unchanged import replacement_in
 
 TimeLimit = Literal["terminal", "truncation"]
+_compared_already: dict[tuple[Any, ...], str | None] = {}
+"""What was found where cart poles of some parameters were held against their arrays in this process before."""
 
 
 class CartPole(CartPoleEnv):
@@ -150,7 +157,7 @@ class CartPoleParameters(NamedTuple):
 
 
 class BatchedCartPole:
-    """R runs of `CartPole` as arrays (see `apel.batched.BatchedEnvironment`), equal to it bit for bit.
+    """R runs of `CartPole` as arrays, equal to it bit for bit (see `apel.dynamics.batched_environment`).
 
     Parameters
     ----------
@@ -168,8 +175,7 @@ class BatchedCartPole:
 
     def reset(self, runs: Runs, seeds: Sequence[int]) -> Stepped:
         """Start an episode of each run with its seed; entries are observations, ``float32[A, 4]``."""
-        starts = [np_random(int(seed))[0].uniform(-0.05, 0.05, 4) for seed in seeds]
-        state = np.array(starts).T
+        state = np.array([_start(seed) for seed in seeds]).T
         self._state[:, runs] = state
         self._steps[runs] = 0
         terminated, truncated = np.zeros((2, len(runs)), dtype=np.bool_)
@@ -201,6 +207,30 @@ class BatchedCartPole:
     def decode(self, entries: NDArray[np.float32]) -> NDArray[np.float32]:
         """Entries are raw observations."""
         return entries
+
+    def world(self, run: int) -> CartPoleWorld | None:
+        """See `apel.dynamics.worlds.HasWorlds`; all runs are alike."""
+        if not _has_same_trigonometry():
+            return None
+        p = self._parameters
+        dynamics = {name: getattr(p, name) for name in CartPoleWorld._fields if name in p._fields}
+        limit = p.time_limit == "terminal"
+        return CartPoleWorld(**dynamics, limit_terminates=limit, state=np.zeros(4))
+
+    def start(self, seed: int) -> NDArray[np.float64]:
+        """See `apel.dynamics.worlds.HasWorlds`: the state at reset."""
+        return _start(seed)
+
+
+def _start(seed: int) -> NDArray[np.float64]:
+    return np_random(int(seed))[0].uniform(-0.05, 0.05, 4)
+
+
+@cache
+def _has_same_trigonometry() -> bool:
+    """Whether compiled code has NumPy's sines and cosines: both are the machine's, but need not be the same ones."""
+    angles = np.random.default_rng(1).uniform(-math.pi, math.pi, 4096)
+    return bool(np.array_equal(trigonometry(angles), (np.sin(angles), np.cos(angles))))
 
 
 def _check_actions(actions: NDArray[np.int64]) -> None:
@@ -244,14 +274,32 @@ def _observation(state: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def batched_cart_pole(environments: Sequence[gymnasium.Env[Any, Any]]) -> BatchedCartPole | None:
-    """These environments as one, or None where that would not be the same.
-
-    They must be `CartPole` itself, since a wrapper or a subclass may change anything, have equal parameters, and be
-    shown to nobody.
-    """
-    plain = [environment for environment in environments if type(environment) is CartPole]
-    parameters = {CartPoleParameters.of(environment) for environment in plain}
-    if len(plain) < len(environments) or len(parameters) > 1 or any(e.render_mode == "human" for e in plain):
+    """These environments as one, or None where that would not be the same (`obstacle_to_batch`)."""
+    if any(obstacle_to_batch(environment) for environment in environments):
         return None
-    common = parameters.pop()
-    return BatchedCartPole(common, len(plain)) if common.kinematics_integrator == "euler" else None
+    parameters = {CartPoleParameters.of(cast("CartPole", environment)) for environment in environments}
+    return BatchedCartPole(parameters.pop(), len(environments)) if len(parameters) == 1 else None
+
+
+def obstacle_to_batch(environment: gymnasium.Env[Any, Any]) -> str | None:
+    """Why an environment cannot be one of several that are played as arrays, in words; None where it can.
+
+    It must be `CartPole` itself with nothing replaced, since a wrapper or a subclass may change anything, be shown to
+    nobody, and play some hundred steps like its arrays.
+    """
+    if type(environment) is not CartPole:
+        relation = "wrapped by" if isinstance(environment, gymnasium.Wrapper) else "it is not CartPole, but"
+        return f"{relation} {type(environment).__name__}"
+    if replaced := replacement_in(environment, CartPole):
+        return replaced
+    parameters = CartPoleParameters.of(environment)
+    if environment.render_mode == "human" or parameters.kinematics_integrator != "euler":
+        return "somebody looks on" if environment.render_mode == "human" else "its integrator is another one"
+    if environment.action_space != spaces.Discrete(2) or environment.observation_space.shape != (4,):
+        return f"its spaces {environment.observation_space} and {environment.action_space} are not those of CartPole"
+    options = (*parameters, environment._sutton_barto_reward)
+    if options not in _compared_already:
+        alike = copy(environment)
+        _compared_already[options] = plays_beside_its_batch(alike, BatchedCartPole(parameters, 1))
+    difference = _compared_already[options]
+    return difference and f"it differs from its arrays: found {difference}"

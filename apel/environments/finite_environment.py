@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
@@ -9,9 +11,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from apel.dynamics.finite_model import FiniteModel
 from apel.environments.misuse import NO_EPISODE, check_step
-from apel.finite import FiniteModel
-from apel.streams import integer, stream_of_seed, uniform
+from apel.numerics.streams import integer, stream_of_seed, uniform
+
+_TOLERANCE = 1e-9  # of a sum of probabilities, such as three thirds
 
 
 @runtime_checkable
@@ -98,6 +102,35 @@ class FiniteEnvironment(gymnasium.Env[Any, np.int64]):
         distractor = integer(self._stream, distractor_values) if distractor_values > 1 else 0
         values: NDArray[np.int64] = self._values[self._cell * distractor_values + distractor]
         return values.copy() if len(values) > 1 else int(values[0])
+
+
+def fault_of_toy_text(raw: Any) -> str | None:
+    """Why the tables of such an environment say too little, or something else than its spaces; None where they do not.
+
+    Probabilities that do not add up to 1 mean something to Gymnasium's draws, but not to these tables.
+    """
+    starts = np.asarray(raw.initial_state_distrib, dtype=np.float64)
+    num_states, num_actions = len(raw.P), len(next(iter(raw.P.values()), ()))
+    if type(raw.P) is not dict or set(raw.P) != set(range(num_states)) or starts.shape != (num_states,):
+        return "its tables are not of states that are numbered from 0"
+    for state, actions in raw.P.items():
+        if set(actions) != set(range(num_actions)):
+            return f"its tables have other actions in state {state} than elsewhere"
+        for action, outcomes in actions.items():
+            if not _is_distribution([outcome[0] for outcome in outcomes]):
+                return f"the probabilities of action {action} in state {state} are no distribution"
+            if not all(outcome[1] in raw.P and math.isfinite(outcome[2]) for outcome in outcomes):
+                return f"action {action} in state {state} leads to what is no state, or pays what is no number"
+    if not _is_distribution(starts.tolist()):
+        return "the probabilities of its starts are no distribution"
+    if raw.observation_space != spaces.Discrete(num_states) or raw.action_space != spaces.Discrete(num_actions):
+        found = f"{raw.observation_space} and {raw.action_space}"
+        return f"its spaces {found} are not those of its tables, of {num_states} states and {num_actions} actions"
+    return None
+
+
+def _is_distribution(probability: Sequence[float]) -> bool:
+    return all(p >= 0.0 for p in probability) and abs(math.fsum(probability) - 1.0) < _TOLERANCE
 
 
 def toy_text_model(raw: HasTransitionTable, max_steps: int) -> FiniteModel:

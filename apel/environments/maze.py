@@ -15,17 +15,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.compiled import njit
+from apel.dynamics.finite_model import FiniteModel
 from apel.environments.drawing import draw_maze
 from apel.environments.finite_environment import FiniteEnvironment
-from apel.finite import FiniteModel
-from apel.streams import Stream, integer, stream_of_seed
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, integer, stream_of_seed
 
 UP, RIGHT, DOWN, LEFT = range(4)
 _MOVES = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)], dtype=np.int64)
 _STEP_REWARD = -0.1
 _GOAL_REWARD = 1.0
 _MIN_DISTANCE_SHARE = 0.8
+_MAX_STATES = 1_000_000
+"""Cells and values of distractors: tables of all states must fit into memory, for every run and learner."""
+_MAX_CELLS_DRAWN = 10_000_000
+"""Over all mazes that are drawn for one: seconds, where none fits."""
 
 
 class Maze(FiniteEnvironment):
@@ -49,7 +53,7 @@ class Maze(FiniteEnvironment):
     max_steps:
         Steps after which an episode is truncated.
     max_draws:
-        How many mazes are drawn at most to meet ``optimal_length``.
+        How many mazes are drawn at most to meet ``optimal_length``; fewer where they are very large.
     render_mode:
         See Gymnasium; ``"rgb_array"`` is the only one.
 
@@ -72,6 +76,7 @@ class Maze(FiniteEnvironment):
         render_mode: str | None = None,
     ) -> None:
         _check(maze_seed, size, distractors, max_steps, max_draws)
+        max_draws = min(max_draws, max(_MAX_CELLS_DRAWN // size**2, 1))
         shortest, longest = _length_range(optimal_length, size)
         stream = stream_of_seed(maze_seed)
         passages = np.zeros((size * size, 4), dtype=np.bool_)
@@ -123,6 +128,13 @@ def _check(maze_seed: int, size: int, distractors: Sequence[int], max_steps: int
         raise ValueError(message)
     if not isinstance(distractors, list | tuple) or any(not isinstance(n, int) or n < 2 for n in distractors):
         message = f"distractors: found {distractors!r}, expected a list of whole numbers of values, each at least 2"
+        raise ValueError(message)
+    states = size**2 * math.prod(distractors)
+    if states > _MAX_STATES:
+        message = (
+            f"distractors: found {distractors!r} in a maze of {size}x{size} cells, which makes {states:,} states, "
+            f"expected at most {_MAX_STATES:,}"
+        )
         raise ValueError(message)
     for name, value in (("max_steps", max_steps), ("max_draws", max_draws)):
         if not isinstance(value, int) or value < 1:

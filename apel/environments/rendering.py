@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from apel.configs import EnvironmentConfig
 from apel.environments.factory import World, make_world
 from apel.environments.finite_environment import FiniteEnvironment
-from apel.streams import episode_seed
-from apel.trajectory import Trajectory
+from apel.experience.action_form import ActionForm
+from apel.experience.trajectory import Trajectory
 
 _MODE = "rgb_array"
 
@@ -46,17 +46,17 @@ def rendered_world(config: EnvironmentConfig, run_seed: int, factory: Any = None
             drawn = replace(config, options={**config.options, "render_mode": _MODE})
             world = make_world(drawn, run_seed, factory)
     except ValueError as error:
-        message = f"{config.id} cannot be rendered: {error}"
+        message = f"{config.name} cannot be rendered: {error}"
         raise ValueError(message) from error
     environment = world.environment
     if type(environment) is FiniteEnvironment:
         message = (
-            f"{config.id} cannot be rendered: it is played from its tables, with other random numbers than its own"
+            f"{config.name} cannot be rendered: it is played from its tables, with other random numbers than its own"
         )
         raise ValueError(message)
     if environment.render_mode != _MODE:
         modes = environment.metadata.get("render_modes", [])
-        message = f"{config.id} cannot be rendered: found the render modes {list(modes)}, expected {_MODE} among them"
+        message = f"{config.name} cannot be rendered: found the render modes {list(modes)}, expected {_MODE} among them"
         raise ValueError(message)
     _picture(environment)
     return world
@@ -71,10 +71,11 @@ def frames(world: World, episode: int, trajectory: Trajectory, every: int = 1) -
         If it does not go as ``trajectory`` says: the environment is no function of its seed and the actions.
     """
     environment = world.environment
-    environment.reset(seed=int(episode_seed(np.uint64(world.key), episode)))
+    environment.reset(seed=world.seeds.of_episode(episode))
     yield Frame(_picture(environment), 0, 0.0)
     total, length = 0.0, len(trajectory)
-    for step, (action, expected) in enumerate(zip(trajectory.action.tolist(), trajectory.reward.tolist(), strict=True)):
+    actions = ActionForm(environment.action_space).rows(trajectory.action)
+    for step, (action, expected) in enumerate(zip(actions, trajectory.reward.tolist(), strict=True)):
         _, reward, terminated, truncated, _ = environment.step(action)
         total += float(reward)
         is_last, is_over = step + 1 == length, bool(terminated or truncated)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.book import Book
-from apel.selection import Selector
-from apel.trajectory import Episodes, Trajectory, TrajectoryBatch
+from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch
+from apel.run.selection import Selector
+from apel.run.state import Book
+from apel.run.user_code import Part, in_a_line, part_of, place_of, trace_of
 
 State = dict[str, Any]
 """What a checkpoint holds: a dictionary of arrays, numbers, strings, booleans, None, and lists or dictionaries of
@@ -26,15 +27,18 @@ class Transition(NamedTuple):
     """One step as every learner sees it, whoever acted."""
 
     observation: Any
-    action: int
+    action: Any
+    """A whole number; an array where the environment's actions are not Discrete."""
     reward: float
     next_observation: Any
     terminated: bool
     """The environment ended the episode here: the next state's value is zero."""
     truncated: bool
     """The episode was cut off here: the next state still has a value."""
-    probability: NDArray[np.float64] | None
-    """``float64[actions]``: μ(·|s) of whoever acted, or None where it is not known."""
+    probability: NDArray[np.float64] | float | None
+    """``float64[actions]``: μ(·|s) of whoever acted, or None where it is not known. Where actions are not Discrete, a
+    number: the density, or the probability, of the action.
+    """
 
 
 @runtime_checkable
@@ -47,14 +51,14 @@ class Learner(Protocol):
         learner.learn(Transition(observation, action, …))
 
     and `end_episode` after the last step. On the episodes of others it gets the same transitions in the same order,
-    without the calls of `act`. All its randomness comes from ``seed``.
+    without the calls of `act`: by these it knows its own. All its randomness comes from ``seed``.
     """
 
     off_policy: ClassVar[bool]
     """Whether it may learn from what others did; a learner that may not is refused by an ensemble."""
 
-    def act(self, observation: Any) -> tuple[int, NDArray[np.float64] | None]:
-        """Choose an action; also its probabilities μ(·|s), ``float64[actions]``, or None if unknown."""
+    def act(self, observation: Any) -> tuple[Any, NDArray[np.float64] | float | None]:
+        """Choose an action; also μ, as in `Transition`, or None if unknown."""
         ...
 
     def learn(self, transition: Transition) -> None:
@@ -84,6 +88,15 @@ class HasActionValues(Protocol):
 
 
 @runtime_checkable
+class HasGreedyAction(Protocol):
+    """A learner that can say what it would do if it did not explore: it can be evaluated without action values."""
+
+    def greedy_action(self, observation: Any) -> Any:
+        """The action. Draws nothing, changes nothing."""
+        ...
+
+
+@runtime_checkable
 class Freezable(Protocol):
     """A learner that can act on what it knew some time ago while it goes on learning (ESBAS, Algorithm 6)."""
 
@@ -92,13 +105,32 @@ class Freezable(Protocol):
         ...
 
 
+@runtime_checkable
+class HasReplayMemory(Protocol):
+    """A learner that draws minibatches from what it remembers of episodes, its own and others'."""
+
+    def replay_own(self, share: float) -> None:
+        """From now on draw at least this share, in (0, 1], of every minibatch from episodes that it played itself; as
+        long as it remembers none of them, all from all. It is called once, before anything is learned.
+
+        Of B transitions (or segments), ⌈share · B⌉ are drawn from the own ones, as the memory draws else (uniformly
+        with replacement, or by priority), and the rest from all.
+        """
+        ...
+
+
 class StreakLimit(NamedTuple):
-    """How long a host may keep a run before it reports back. It changes no result, only the number of messages."""
+    """How long a host may keep a run before it reports back. It changes no result, only the number of messages.
+
+    The episode under way is finished in any case.
+    """
 
     episodes: int
     """Episodes per run and round, at least 1."""
     steps: int
-    """Environment steps per host and round, shared by its runs; the episode under way is finished."""
+    """Environment steps per host and round, shared by its runs."""
+    nbytes: int = 2**28
+    """Bytes of recorded trajectories per host and round, shared by its runs."""
 
 
 class Failure(NamedTuple):
@@ -108,6 +140,44 @@ class Failure(NamedTuple):
     """Position in the shard."""
     episode: int
     error: str
+    """In a line."""
+    part: Part = ""
+    """What raised it."""
+    place: str = ""
+    """File, line and function of the user's."""
+    trace: str = ""
+    """The whole traceback; empty where nothing was raised."""
+
+    @classmethod
+    def of(cls, run: int, episode: int, error: BaseException) -> Failure:
+        """What a user's code raised."""
+        return cls(run, episode, in_a_line(error), part_of(error), place_of(error), trace_of(error))
+
+    @classmethod
+    def unbuilt(cls, run: int, error: BaseException) -> Failure:
+        """What was raised before its first episode; what we say of options that are refused stands for itself."""
+        failure = cls.of(run, 0, error)
+        return failure._replace(error=str(error)) if isinstance(error, ValueError) else failure
+
+
+class UnbuildableError(Exception):
+    """Learners of some runs could not be made ready.
+
+    Attributes
+    ----------
+    failures:
+        Of those runs.
+    learner:
+        Which learner; None where it is none's.
+    """
+
+    def __init__(self, failures: Sequence[Failure], learner: int | None = None) -> None:
+        super().__init__(tuple(failures), learner)
+        self.failures, self.learner = tuple(failures), learner
+
+    def __str__(self) -> str:
+        """One line per distinct error."""
+        return "; ".join(dict.fromkeys(failure.error for failure in self.failures))
 
 
 @dataclass(frozen=True)
@@ -122,6 +192,11 @@ class Played:
 class LearnerBank(Protocol):
     """The same learner for every run of a shard."""
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether all that the learners compute is this project's compiled code: none of PyTorch's, nor a user's."""
+        ...
+
     def play(
         self, runs: Sequence[int], book: Book, selector: Selector, me: int, limit: StreakLimit, *, record: bool
     ) -> Played:
@@ -135,10 +210,27 @@ class LearnerBank(Protocol):
         """Learn from the episodes that other learners played."""
         ...
 
+    @property
+    def errors(self) -> Mapping[int, BaseException]:
+        """What users' code raised in the last call of `state`, by run."""
+        ...
+
     def state(self) -> State:
         """Everything needed to go on exactly here, for all runs."""
         ...
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
+        ...
+
+    def models(self, runs: Sequence[int], episodes: Sequence[int]) -> list[State]:
+        """The states of the learners of some runs, each as the learner of a single run has it (`Learner.state`) after
+        so many episodes of its run; empty for one that is among the `errors` of the call.
+        """
+        ...
+
+    def begin_from(self, states: Sequence[State]) -> None:
+        """Let the learners of all runs, which have just been made, begin with the states of others, as `models` gives
+        them (`apel.learners.starting`).
+        """
         ...

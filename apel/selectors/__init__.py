@@ -1,6 +1,6 @@
 """Ensemble learners: who acts next."""
 
-from apel.selection import Selector
+from apel.run.selection import Selector
 from apel.selectors.agent57 import Agent57
 from apel.selectors.apel import Apel
 from apel.selectors.apel_variants import ApelMargin, ApelRecency, ApelSurprise
@@ -9,6 +9,7 @@ from apel.selectors.corral import Corral
 from apel.selectors.epsilon_greedy import EpsilonGreedy
 from apel.selectors.esbas import Esbas
 from apel.selectors.exp3 import Exp3, Exp3S
+from apel.selectors.incumbent import Incumbent
 from apel.selectors.regret_balancing import D3rb, Ed2rb
 from apel.selectors.ssbas import Ssbas
 from apel.selectors.sw_ucb import SwUcb
@@ -32,6 +33,7 @@ __all__ = [
     "Exp3",
     "Exp3S",
     "Fixed",
+    "Incumbent",
     "Selector",
     "Ssbas",
     "SwUcb",

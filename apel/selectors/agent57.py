@@ -7,39 +7,63 @@ return of the episode as it is. Unlike there, ties are broken uniformly at rando
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row, compiled_select
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_select
 from apel.selectors import windows
 from apel.selectors.indices import pick_largest_or_any
-from apel.selectors.normalising import FIXED, Bounds, check_bounds
-from apel.selectors.ssbas import NormaliseWindow, observe, window_parameters, window_state
+from apel.selectors.normalising import Bounds, check_bounds
+from apel.selectors.ssbas import (
+    LAYOUT,
+    NormaliseWindow,
+    observe,
+    scale,
+    view_options,
+    view_state,
+    window_options,
+    window_state,
+)
+from apel.selectors.windows import view_window
+
+
+class Agent57Options(NamedTuple):
+    """Those of `WindowOptions`, then ε."""
+
+    exploration: float
+    length: float
+    mode: float
+    low: float
+    high: float
+    epsilon: float
+
+
+_options = named_numbers(Agent57Options)
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """Learner k in episode k < n; then with probability ε any, else argmax x̄ₖ + β √(1 / nₖ) over the window."""
-    window, index = state[3 * num_learners :], state[:num_learners]
+    options, state = _options(parameters), view_state(row, num_learners)
+    index, window = state.probability, view_window(state.window, num_learners)
     past = windows.past_episodes(window)
     if past < num_learners:
         for k in range(num_learners):
             index[k] = 1.0 if k == past else 0.0
         return past
-    low, high = windows.extremes(window, num_learners)
-    if parameters[2] == FIXED:
-        low, high = parameters[3], parameters[4]
+    low, high = scale(view_options(parameters), window)
     span = high - low if high > low else 1.0
-    count, performance_sum = windows.counts(window, num_learners), windows.sums(window, num_learners)
     for k in range(num_learners):
         index[k] = np.inf  # has left the window: 1/0 in the source, too
-        if count[k] > 0.0:
-            index[k] = (performance_sum[k] / count[k] - low) / span + parameters[0] * math.sqrt(1.0 / count[k])
-    return pick_largest_or_any(parameters[5], index, stream)
+        if window.num_selections[k] > 0.0:
+            mean = (window.performance_sum[k] / window.num_selections[k] - low) / span
+            index[k] = mean + options.exploration * math.sqrt(1.0 / window.num_selections[k])
+    return pick_largest_or_any(options.epsilon, index, stream)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -66,6 +90,8 @@ class Agent57:
     normalise: NormaliseWindow = "none"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(observe)
 
@@ -74,7 +100,8 @@ class Agent57:
 
     def parameters(self) -> Row:
         """``float64[6]``: β, τ, mode, low, high, ε."""
-        return window_parameters(self.exploration, self.window, self.normalise, self.bounds, self.epsilon)
+        options = window_options(self.exploration, self.window, self.normalise, self.bounds)
+        return np.array(Agent57Options(*options, self.epsilon))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 8 + 2 · (min(τ, episodes) + 1)]``; 4 in place of 2 with ``minmax_window``."""

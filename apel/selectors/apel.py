@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
-from apel.streams import categorical, dirichlet
+from apel.numerics.compiled import njit
+from apel.numerics.streams import categorical, dirichlet
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import COMMON, SELECTOR_CONFIG, common_blocks, compiled_observe, compiled_select, new_state
+
+
+class ApelOptions(NamedTuple):
+    """What Algorithm 5 goes by."""
+
+    decay: float
+    """ν."""
+    counts_ties: float
+    """0 or 1."""
+
+
+_options = named_numbers(ApelOptions)
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """P ~ Dirichlet(c), L ~ Categorical(p) (Eq. 3.2, 3.3)."""
-    probability = state[:num_learners]
-    dirichlet(stream, state[2 * num_learners : 3 * num_learners], probability)
-    return categorical(stream, probability)
+    state = common_blocks(row, num_learners)
+    dirichlet(stream, state.concentration, state.probability)
+    return categorical(stream, state.probability)
 
 
 @njit
-def is_best(parameters: Row, estimate: Row, selected: int, performance: float) -> bool:
+def _is_best(estimate: Row, selected: int, performance: float, counts_ties: bool) -> bool:
     """Whether ``performance`` is above all other learners' estimates, ``float64[learners]``, or, with ties, at them."""
-    counts_ties = parameters[1] != 0.0
     for other in range(estimate.shape[0]):
         # Written so that a comparison with NaN (not selected yet) counts as "not best": nothing is
         # incremented before every learner has been selected once.
@@ -37,21 +49,20 @@ def is_best(parameters: Row, estimate: Row, selected: int, performance: float) -
 
 
 @njit
-def forget(parameters: Row, concentration: Row) -> None:
-    """C ← max(c (1 − ν), 1), ``float64[learners]``, in place (Eq. 3.5)."""
-    for i in range(concentration.shape[0]):
-        concentration[i] = max(concentration[i] * (1.0 - parameters[0]), 1.0)
+def update(parameters: Row, num_learners: int, row: Row, selected: int, performance: float, increment: float) -> None:
+    """r̂_L ← performance; c_L ← c_L + ``increment`` if L is best; c ← max(c (1 − ν), 1) (Eq. 3.4, 3.5)."""
+    options, state = _options(parameters), common_blocks(row, num_learners)
+    state.performance_estimate[selected] = performance
+    if _is_best(state.performance_estimate, selected, performance, options.counts_ties != 0.0):
+        state.concentration[selected] += increment
+    for k in range(num_learners):
+        state.concentration[k] = max(state.concentration[k] * (1.0 - options.decay), 1.0)
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
-    """r̂_L ← performance; c_L ← c_L + 1 if L is strictly best; c ← max(c (1 − ν), 1) (Eq. 3.4, 3.5)."""
-    estimate = state[num_learners : 2 * num_learners]
-    concentration = state[2 * num_learners : 3 * num_learners]
-    estimate[selected] = performance
-    if is_best(parameters, estimate, selected, performance):
-        concentration[selected] += 1.0
-    forget(parameters, concentration)
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
+    """Increments of 1, for a learner that is strictly best unless ties count."""
+    update(parameters, num_learners, row, selected, performance, 1.0)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -73,19 +84,18 @@ class Apel:
     prior: tuple[Annotated[float, Field(ge=1.0)], ...] = field(default=())
     tie_increment: bool = False
 
+    layout: ClassVar[Layout[Any]] = COMMON
+
     select = staticmethod(_select)
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
         """``float64[2]``: ν, whether ties count."""
-        return np.array([self.decay, self.tie_increment])
+        return np.array(ApelOptions(self.decay, self.tie_increment))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[3 · learners]``: nothing beyond the common blocks."""
-        state = header(num_learners, concentration=1.0)
-        if self.prior:
-            if len(self.prior) != num_learners:
-                message = f"prior: found {len(self.prior)} concentrations, expected one per learner, {num_learners}"
-                raise ValueError(message)
-            state[2 * num_learners :] = self.prior
-        return state
+        if self.prior and len(self.prior) != num_learners:
+            message = f"prior: found {len(self.prior)} concentrations, expected one per learner, {num_learners}"
+            raise ValueError(message)
+        return new_state(self.layout, num_learners, concentration=self.prior or 1.0)

@@ -14,44 +14,89 @@ own median. Increments lie between 0 and max(1, b).
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe
-from apel.selectors.apel import Apel, forget, is_best
+from apel.numerics.compiled import njit
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe
+from apel.selectors.apel import Apel, update
 
 Strength = Annotated[float, Field(ge=0.0, le=1.0)]
 Bound = Annotated[float, Field(ge=1.0)]
 Memory = Annotated[float, Field(gt=0.0, le=1.0)]
 
-# Parameters: ν | whether ties count | s | b | ρ (not in recency).
+
+class RecencyOptions(NamedTuple):
+    """APEL's, then those of increments by recency."""
+
+    decay: float
+    counts_ties: float
+    strength: float
+    bound: float
 
 
-@njit
-def _increment(parameters: Row, num_learners: int, state: Row, selected: int, performance: float, size: float) -> None:
-    """Algorithm 5's update with an increment of ``size``."""
-    estimate = state[num_learners : 2 * num_learners]
-    concentration = state[2 * num_learners : 3 * num_learners]
-    estimate[selected] = performance
-    if is_best(parameters, estimate, selected, performance):
-        concentration[selected] += size
-    forget(parameters, concentration)
+class VariantOptions(NamedTuple):
+    """APEL's, then those of increments by margin or surprise."""
+
+    decay: float
+    counts_ties: float
+    strength: float
+    bound: float
+    memory: float
+
+
+class RecencyState(NamedTuple):
+    """APEL's, then when each learner was last selected."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    episode: Row
+    """``float64[1]``: number of the episode, from 1."""
+    last_selection: Row
+    """``float64[learners]``: number of the episode, 0 before any."""
+
+
+class MarginState(NamedTuple):
+    """APEL's, then the usual margin."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    scale: Row
+    """``float64[1]``: D, the running mean of |d|, 0 as long as there is none."""
+
+
+class SurpriseState(NamedTuple):
+    """APEL's, then each learner's own past, ``float64[learners]`` each."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    num_selections: Row
+    mean: Row
+    variance: Row
+
+
+_RECENCY, _MARGIN, _SURPRISE = Layout(RecencyState, episode=1), Layout(MarginState, scale=1), Layout(SurpriseState)
+_recency_state, _margin_state, _surprise_state = _RECENCY.view, _MARGIN.view, _SURPRISE.view
+_recency_options, _options = named_numbers(RecencyOptions), named_numbers(VariantOptions)
 
 
 @compiled_observe
-def _observe_recency(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
-    """State behind the common blocks: number of the episode, from 1 | that of each learner's last selection, or 0."""
-    first = 3 * num_learners
-    state[first] += 1.0
-    last = state[first + 1 + selected]
-    gap = state[first] - last if last > 0.0 else 1.0
-    state[first + 1 + selected] = state[first]
-    size = min(1.0 + parameters[2] * (gap - 1.0), parameters[3])
-    _increment(parameters, num_learners, state, selected, performance, size)
+def _observe_recency(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
+    """Increment min(1 + s (g − 1), b)."""
+    options, state = _recency_options(parameters), _recency_state(row, num_learners)
+    state.episode[0] += 1.0
+    last = state.last_selection[selected]
+    gap = state.episode[0] - last if last > 0.0 else 1.0
+    state.last_selection[selected] = state.episode[0]
+    increment = min(1.0 + options.strength * (gap - 1.0), options.bound)
+    update(parameters, num_learners, row, selected, performance, increment)
 
 
 @njit
@@ -61,19 +106,20 @@ def _or_infinite(estimate: float) -> float:
 
 
 @compiled_observe
-def _observe_margin(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
-    """State behind the common blocks: the running mean of |d|, 0 as long as there is none."""
-    strength, bound, memory = parameters[2], parameters[3], parameters[4]
+def _observe_margin(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
+    """Increment 1 − s + s min(d/D, b)."""
+    options, state = _options(parameters), _margin_state(row, num_learners)
     best_other = -np.inf
     for other in range(num_learners):
         if other != selected:
-            best_other = max(best_other, _or_infinite(state[num_learners + other]))
-    margin, scale, ratio = performance - best_other, state[3 * num_learners], 1.0
+            best_other = max(best_other, _or_infinite(state.performance_estimate[other]))
+    margin, scale, ratio = performance - best_other, state.scale[0], 1.0
     if math.isfinite(margin):
-        scale = (1.0 - memory) * scale + memory * abs(margin) if scale > 0.0 else abs(margin)
-        state[3 * num_learners] = scale
-        ratio = min(margin / scale, bound) if scale > 0.0 else 0.0
-    _increment(parameters, num_learners, state, selected, performance, 1.0 - strength + strength * ratio)
+        scale = (1.0 - options.memory) * scale + options.memory * abs(margin) if scale > 0.0 else abs(margin)
+        state.scale[0] = scale
+        ratio = min(margin / scale, options.bound) if scale > 0.0 else 0.0
+    increment = 1.0 - options.strength + options.strength * ratio
+    update(parameters, num_learners, row, selected, performance, increment)
 
 
 @njit
@@ -88,24 +134,25 @@ def surprise(count: float, mean: float, variance: float, performance: float, bou
 
 
 @compiled_observe
-def _observe_surprise(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
-    """State behind the common blocks: each learner's number of performances | their mean μ | variance σ².
+def _observe_surprise(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
+    """Increment 1 − s + s min(−log₂ q, b).
 
-    The k-th performance enters with weight max(1/k, ρ): Welford's recursion at first, exponential forgetting then.
+    The k-th performance enters μ and σ² with weight max(1/k, ρ): Welford's recursion at first, then exponential
+    forgetting.
     """
-    strength, bound, memory = parameters[2], parameters[3], parameters[4]
-    count = 3 * num_learners + selected
-    mean, variance = count + num_learners, count + 2 * num_learners
-    bits = surprise(state[count], state[mean], state[variance], performance, bound)
-    _increment(parameters, num_learners, state, selected, performance, 1.0 - strength + strength * bits)
-    state[count] += 1.0
-    weight = max(1.0 / state[count], memory)
-    if state[count] == 1.0:
-        state[mean] = performance
+    options, state = _options(parameters), _surprise_state(row, num_learners)
+    count, mean, variance = state.num_selections, state.mean, state.variance
+    bits = surprise(count[selected], mean[selected], variance[selected], performance, options.bound)
+    increment = 1.0 - options.strength + options.strength * bits
+    update(parameters, num_learners, row, selected, performance, increment)
+    count[selected] += 1.0
+    weight = max(1.0 / count[selected], options.memory)
+    if count[selected] == 1.0:
+        mean[selected] = performance
     else:
-        difference = performance - state[mean]
-        state[mean] += weight * difference
-        state[variance] = (1.0 - weight) * (state[variance] + weight * difference * difference)
+        difference = performance - mean[selected]
+        mean[selected] += weight * difference
+        variance[selected] = (1.0 - weight) * (variance[selected] + weight * difference * difference)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -125,15 +172,13 @@ class ApelRecency(Apel):
     strength: Annotated[float, Field(ge=0.0)] = 0.1
     bound: Bound = 10.0
 
+    layout: ClassVar[Layout[Any]] = _RECENCY
+
     observe = staticmethod(_observe_recency)
 
     def parameters(self) -> Row:
         """``float64[4]``: ν, whether ties count, s, b."""
-        return np.append(super().parameters(), [self.strength, self.bound])
-
-    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
-        """``float64[4 · learners + 1]``."""
-        return np.append(super().initial_state(num_learners, num_episodes), np.zeros(1 + num_learners))
+        return np.array(RecencyOptions(self.decay, self.tie_increment, self.strength, self.bound))
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -157,15 +202,13 @@ class ApelMargin(Apel):
     bound: Bound = 4.0
     memory: Memory = 0.05
 
+    layout: ClassVar[Layout[Any]] = _MARGIN
+
     observe = staticmethod(_observe_margin)
 
     def parameters(self) -> Row:
         """``float64[5]``: ν, whether ties count, s, b, ρ."""
-        return np.append(super().parameters(), [self.strength, self.bound, self.memory])
-
-    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
-        """``float64[3 · learners + 1]``."""
-        return np.append(super().initial_state(num_learners, num_episodes), 0.0)
+        return np.array(VariantOptions(self.decay, self.tie_increment, self.strength, self.bound, self.memory))
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -189,12 +232,10 @@ class ApelSurprise(Apel):
     bound: Bound = 8.0
     memory: Memory = 0.05
 
+    layout: ClassVar[Layout[Any]] = _SURPRISE
+
     observe = staticmethod(_observe_surprise)
 
     def parameters(self) -> Row:
         """``float64[5]``: ν, whether ties count, s, b, ρ."""
-        return np.append(super().parameters(), [self.strength, self.bound, self.memory])
-
-    def initial_state(self, num_learners: int, num_episodes: int) -> Row:
-        """``float64[6 · learners]``."""
-        return np.append(super().initial_state(num_learners, num_episodes), np.zeros(3 * num_learners))
+        return np.array(VariantOptions(self.decay, self.tie_increment, self.strength, self.bound, self.memory))

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
-from apel.streams import integer
+from apel.numerics.streams import integer
+from apel.numerics.views import Row, named_numbers
+from apel.run.selection import COMMON, SELECTOR_CONFIG, common_blocks, compiled_observe, compiled_select, new_state
+
+
+class FixedOptions(NamedTuple):
+    """What `Fixed` selects by."""
+
+    learner: float
+
+
+_fixed_options = named_numbers(FixedOptions)
 
 
 @compiled_select
-def _select_fixed(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
-    return int(parameters[0])
+def _select_fixed(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
+    return int(_fixed_options(parameters).learner)
 
 
 @compiled_select
-def _select_uniform(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select_uniform(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     return integer(stream, num_learners)
 
 
 @compiled_observe
-def observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """r̂_L ← performance."""
-    state[num_learners + selected] = performance
+    common_blocks(row, num_learners).performance_estimate[selected] = performance
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -46,16 +56,14 @@ class Fixed:
 
     def parameters(self) -> Row:
         """``float64[1]``: the learner."""
-        return np.array([float(self.learner)])
+        return np.array(FixedOptions(float(self.learner)))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[3 · learners]``."""
         if self.learner >= num_learners:
             message = f"learner: found {self.learner}, expected a position from 0 to {num_learners - 1}"
             raise ValueError(message)
-        state = header(num_learners)
-        state[:num_learners] = np.arange(num_learners) == self.learner
-        return state
+        return new_state(COMMON, num_learners, probability=np.eye(num_learners)[self.learner])
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -71,4 +79,4 @@ class Uniform:
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[3 · learners]``."""
-        return header(num_learners)
+        return new_state(COMMON, num_learners)

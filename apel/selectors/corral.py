@@ -14,19 +14,41 @@ smoothed, as in Pacchiano et al. 2020: they learn from every episode.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
-from apel.selectors.normalising import Bounds, to_unit, unit_mode, unit_range
-from apel.streams import categorical
+from apel.numerics.compiled import njit
+from apel.numerics.streams import categorical
+from apel.numerics.views import Layout, Row
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
+from apel.selectors.normalising import Bounds, UnitOptions, to_unit, unit_mode, unit_options, unit_range
 
-# The state behind the common blocks: low, high | γ | β | p[n] | η[n] | ρ[n].
+
+class CorralState(NamedTuple):
+    """The common blocks, then what mirror descent moves."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    """``float64[2]``: low and high of the performances."""
+    mixing: Row
+    """``float64[1]``: γ."""
+    growth: Row
+    """``float64[1]``: β."""
+    p: Row
+    rate: Row
+    """η."""
+    threshold: Row
+    """ρ."""
+
+
+_LAYOUT = Layout(CorralState, limits=2, mixing=1, growth=1)
+_state = _LAYOUT.view
 
 _MOST_STEPS = 100
 
@@ -77,31 +99,28 @@ def descend(p: Row, rate: Row, selected: int, loss: float) -> None:
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """Draw from p̄ = (1 − γ) p + γ/M."""
-    first = 3 * num_learners + 4
-    mixing = state[first - 2]
+    state = _state(row, num_learners)
+    mixing = state.mixing[0]
     for k in range(num_learners):
-        state[k] = (1.0 - mixing) * state[first + k] + mixing / num_learners
-    return categorical(stream, state[:num_learners])
+        state.probability[k] = (1.0 - mixing) * state.p[k] + mixing / num_learners
+    return categorical(stream, state.probability)
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """A step of mirror descent, then a higher learning rate where a probability has become small."""
-    first = 3 * num_learners + 4
-    mixing, growth = state[first - 2], state[first - 1]
-    state[num_learners + selected] = performance
-    loss = 1.0 - to_unit(parameters[0], state[first - 4 : first - 2], performance)
-    p = state[first : first + num_learners]
-    rate = state[first + num_learners : first + 2 * num_learners]
-    threshold = state[first + 2 * num_learners : first + 3 * num_learners]
-    descend(p, rate, selected, loss / state[selected])
+    state = _state(row, num_learners)
+    p, rate, threshold, mixing = state.p, state.rate, state.threshold, state.mixing[0]
+    state.performance_estimate[selected] = performance
+    loss = 1.0 - to_unit(unit_options(parameters).mode, state.limits, performance)
+    descend(p, rate, selected, loss / state.probability[selected])
     for k in range(num_learners):
         inverse = 1.0 / ((1.0 - mixing) * p[k] + mixing / num_learners)
         if inverse > threshold[k]:
             threshold[k] = 2.0 * inverse
-            rate[k] *= growth
+            rate[k] *= state.growth[0]
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -122,12 +141,14 @@ class Corral:
     mixing: Literal["horizon"] | Annotated[float, Field(ge=0.0, le=1.0)] = "horizon"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
         """``float64[1]``: mode."""
-        return np.array([unit_mode(self.bounds)])
+        return np.array(UnitOptions(unit_mode(self.bounds)))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[6 · learners + 4]``."""
@@ -135,5 +156,13 @@ class Corral:
         rate = math.sqrt(m / t) if isinstance(self.learning_rate, str) else self.learning_rate
         mixing = 1.0 / t if isinstance(self.mixing, str) else self.mixing
         growth = math.exp(1.0 / math.log(max(t, 2)))
-        learners = [np.full(m, value) for value in (1.0 / m, rate, 2.0 * m)]
-        return np.concatenate([header(m), unit_range(self.bounds), [mixing, growth], *learners])
+        return new_state(
+            self.layout,
+            m,
+            limits=unit_range(self.bounds),
+            mixing=mixing,
+            growth=growth,
+            p=1.0 / m,
+            rate=rate,
+            threshold=2.0 * m,
+        )

@@ -8,28 +8,45 @@ episodes before the epoch.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
-import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe
-from apel.selectors.normalising import Normalise
+from apel.numerics.views import Layout, Row
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, new_state
+from apel.selectors.normalising import Normalise, range_of
 from apel.selectors.ucb import Ucb1, count_episode
 
-# The state is UCB1's, then: episodes played in this epoch | its length.
+
+class EsbasState(NamedTuple):
+    """UCB1's, then the epoch."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    num_selections: Row
+    performance_sum: Row
+    played: Row
+    """``float64[1]``: episodes played in this epoch."""
+    length: Row
+    """``float64[1]``: that of this epoch, in episodes."""
+
+
+_LAYOUT = Layout(EsbasState, limits=2, played=1, length=1)
+_state = _LAYOUT.view
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """UCB1's update; after the last episode of an epoch all counts and sums are 0, and the next is twice as long."""
-    count_episode(parameters, num_learners, state, selected, performance)
-    epoch = 5 * num_learners + 2
-    state[epoch] += 1.0
-    if state[epoch] >= state[epoch + 1]:
-        state[epoch - 2 * num_learners : epoch + 1] = 0.0
-        state[epoch + 1] *= 2.0
+    count_episode(parameters, num_learners, row, selected, performance)
+    state = _state(row, num_learners)
+    state.played[0] += 1.0
+    if state.played[0] >= state.length[0]:
+        state.num_selections[:] = state.performance_sum[:] = state.played[:] = 0.0
+        state.length[0] *= 2.0
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -52,8 +69,10 @@ class Esbas(Ucb1):
     exploration: Annotated[float, Field(gt=0.0)] = 0.25
     normalise: Normalise = "none"
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     observe = staticmethod(_observe)
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 4]``."""
-        return np.concatenate([super().initial_state(num_learners, num_episodes), [0.0, 1.0]])
+        return new_state(self.layout, num_learners, limits=range_of(self.normalise, self.bounds), length=1.0)

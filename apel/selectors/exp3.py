@@ -12,29 +12,46 @@ paper, and this, to all.)
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
-from apel.selectors.normalising import Bounds, to_unit, unit_mode, unit_range
-from apel.streams import categorical
+from apel.numerics.streams import categorical
+from apel.numerics.views import Layout, Row
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
+from apel.selectors.normalising import Bounds, UnitOptions, to_unit, unit_mode, unit_options, unit_range
 
-# The state behind the common blocks: low, high | γ | e α / K | ln w[n].
+
+class Exp3State(NamedTuple):
+    """The common blocks, then the weights and how they move."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    """``float64[2]``: low and high of the performances."""
+    mixing: Row
+    """``float64[1]``: γ."""
+    share: Row
+    """``float64[1]``: e α / K."""
+    log_weight: Row
+
+
+_LAYOUT = Layout(Exp3State, limits=2, mixing=1, share=1)
+_state = _LAYOUT.view
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """Draw from (1 − γ) w / W + γ/K."""
-    first = 3 * num_learners + 4
-    mixing = state[first - 2]
-    probability = state[:num_learners]
+    state = _state(row, num_learners)
+    probability, mixing = state.probability, state.mixing[0]
     total = 0.0
     for k in range(num_learners):
-        probability[k] = math.exp(state[first + k])
+        probability[k] = math.exp(state.log_weight[k])
         total += probability[k]
     for k in range(num_learners):
         probability[k] = (1.0 - mixing) * probability[k] / total + mixing / num_learners
@@ -42,14 +59,13 @@ def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.u
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """Multiply the selected learner's weight, give each its share of all, divide by the largest."""
-    first = 3 * num_learners + 4
-    mixing, share = state[first - 2], state[first - 1]
-    state[num_learners + selected] = performance
-    reward = to_unit(parameters[0], state[first - 4 : first - 2], performance)
-    weight = state[first : first + num_learners]
-    gain = mixing * reward / (num_learners * state[selected])
+    state = _state(row, num_learners)
+    weight, mixing, share = state.log_weight, state.mixing[0], state.share[0]
+    state.performance_estimate[selected] = performance
+    reward = to_unit(unit_options(parameters).mode, state.limits, performance)
+    gain = mixing * reward / (num_learners * state.probability[selected])
     if share > 0.0:
         total = 0.0
         for k in range(num_learners):
@@ -72,9 +88,8 @@ def _or_derived(value: str | float, derived: float) -> float:
     return derived if isinstance(value, str) else value
 
 
-def _state(num_learners: int, bounds: tuple[float, float] | None, mixing: float, share: float) -> Row:
-    blocks = header(num_learners), unit_range(bounds), [mixing, share], np.zeros(num_learners)
-    return np.concatenate(blocks)
+def _new_state(num_learners: int, bounds: tuple[float, float] | None, mixing: float, share: float) -> Row:
+    return new_state(_LAYOUT, num_learners, limits=unit_range(bounds), mixing=mixing, share=share)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -92,18 +107,20 @@ class Exp3:
     mixing: Share = "horizon"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
         """``float64[1]``: mode."""
-        return np.array([unit_mode(self.bounds)])
+        return np.array(UnitOptions(unit_mode(self.bounds)))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[4 · learners + 4]``."""
         k = num_learners
         derived = min(1.0, math.sqrt(k * math.log(k) / ((math.e - 1.0) * num_episodes)))
-        return _state(k, self.bounds, _or_derived(self.mixing, derived), 0.0)
+        return _new_state(k, self.bounds, _or_derived(self.mixing, derived), 0.0)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -127,16 +144,18 @@ class Exp3S:
     hardness: Annotated[int, Field(ge=1)] = 1
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
         """``float64[1]``: mode."""
-        return np.array([unit_mode(self.bounds)])
+        return np.array(UnitOptions(unit_mode(self.bounds)))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[4 · learners + 4]``."""
         k, t = num_learners, num_episodes
         derived = min(1.0, math.sqrt(k * (self.hardness * math.log(k * t) + math.e) / ((math.e - 1.0) * t)))
         share = _or_derived(self.share, 1.0 / t)
-        return _state(k, self.bounds, _or_derived(self.mixing, derived), math.e * share / k)
+        return _new_state(k, self.bounds, _or_derived(self.mixing, derived), math.e * share / k)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from apel.compiled import njit
-from apel.selection import Row
-from apel.streams import Stream, integer, uniform
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, integer, uniform
+from apel.numerics.views import Row
 
 
 @njit

@@ -9,13 +9,13 @@ sampling) have each episode as it was normalised when it ended.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
 
-from apel.compiled import njit
-from apel.selection import Row
+from apel.numerics.compiled import njit
+from apel.numerics.views import Row, named_numbers
 
 NONE, MINMAX, FIXED = 0.0, 1.0, 2.0
 """How a rule's two compiled functions know the mode."""
@@ -68,6 +68,15 @@ def unit_mode(bounds: tuple[float, float] | None) -> float:
 def unit_range(bounds: tuple[float, float] | None) -> Row:
     """`range_of` for rules that always need [0, 1]."""
     return range_of("minmax", bounds)
+
+
+class UnitOptions(NamedTuple):
+    """The parameters of rules that need no more than a mode."""
+
+    mode: float
+
+
+unit_options = named_numbers(UnitOptions)
 
 
 @njit

@@ -19,48 +19,79 @@ ours: ln n is replaced by max(ln n, 1), since the bonus has no value at n = 1. M
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
+from apel.numerics.compiled import njit
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
 from apel.selectors.indices import pick_largest
 from apel.selectors.normalising import Bounds, take_in, unit_mode, unit_range
 
-# The state behind the common blocks: low, high | n[M] | sums[M] | d[M] | φ[M].
+
+class RegretOptions(NamedTuple):
+    """What both rules go by."""
+
+    mode: float
+    min_coefficient: float
+    confidence: float
+    failure_probability: float
+    estimates: float
+    """Whether coefficients are estimated, 0 or 1."""
+
+
+class RegretState(NamedTuple):
+    """The common blocks, then what is known of each learner."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    """``float64[2]``: low and high of the performances."""
+    num_selections: Row
+    performance_sum: Row
+    coefficient: Row
+    """d."""
+    potential: Row
+    """φ."""
+
+
+_LAYOUT = Layout(RegretState, limits=2)
+_state, _options = _LAYOUT.view, named_numbers(RegretOptions)
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """Argmin φ; ties uniformly at random."""
-    first = 6 * num_learners + 2
+    state = _state(row, num_learners)
+    index = state.probability
     for k in range(num_learners):
-        state[k] = -state[first + k]
-    return pick_largest(state[:num_learners], stream)
+        index[k] = -state.potential[k]
+    return pick_largest(index, stream)
 
 
 @njit
-def _bonus(parameters: Row, num_learners: int, count: float) -> float:
+def _bonus(options: RegretOptions, num_learners: int, count: float) -> float:
     """b(n) = c √(ln(M max(ln n, 1) / δ) / n)."""
-    return parameters[2] * math.sqrt(math.log(num_learners * max(math.log(count), 1.0) / parameters[3]) / count)
+    logarithm = math.log(num_learners * max(math.log(count), 1.0) / options.failure_probability)
+    return options.confidence * math.sqrt(logarithm / count)
 
 
 @njit
-def _shortfall(parameters: Row, num_learners: int, state: Row, selected: int) -> float:
+def _shortfall(options: RegretOptions, num_learners: int, state: RegretState, selected: int) -> float:
     """maxⱼ (ûⱼ − b(nⱼ)) over the learners that were selected so far, minus ûᵢ + b(nᵢ) of the one selected now."""
-    first = 3 * num_learners + 2
-    low, high = state[first - 2], state[first - 1]
+    low, high = state.limits[0], state.limits[1]
     span = high - low if high > low else 1.0
     highest, upper = -np.inf, 0.0
     for k in range(num_learners):
-        count = state[first + k]
+        count = state.num_selections[k]
         if count > 0.0:
-            mean = (state[first + num_learners + k] / count - low) / span
-            bonus = _bonus(parameters, num_learners, count)
+            mean = (state.performance_sum[k] / count - low) / span
+            bonus = _bonus(options, num_learners, count)
             highest = max(highest, mean - bonus)
             if k == selected:
                 upper = mean + bonus
@@ -68,25 +99,23 @@ def _shortfall(parameters: Row, num_learners: int, state: Row, selected: int) ->
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """Count the episode, then the coefficient and the potential of the selected learner."""
-    minimum, estimates = parameters[1], parameters[4] != 0.0
-    first = 3 * num_learners + 2
-    state[num_learners + selected] = performance
-    kept = take_in(parameters[0], state[first - 2 : first], performance)
-    state[first + selected] += 1.0
-    state[first + num_learners + selected] += kept
-    shortfall = _shortfall(parameters, num_learners, state, selected)
-    root = math.sqrt(state[first + selected])
-    coefficient, potential = first + 2 * num_learners + selected, first + 3 * num_learners + selected
-    if estimates:
-        state[coefficient] = max(minimum, root * shortfall)
-        before = state[potential]
-        state[potential] = min(max(state[coefficient] * root, before), 2.0 * before)
+    options, state = _options(parameters), _state(row, num_learners)
+    coefficient, potential = state.coefficient, state.potential
+    state.performance_estimate[selected] = performance
+    state.num_selections[selected] += 1.0
+    state.performance_sum[selected] += take_in(options.mode, state.limits, performance)
+    shortfall = _shortfall(options, num_learners, state, selected)
+    root = math.sqrt(state.num_selections[selected])
+    if options.estimates != 0.0:
+        coefficient[selected] = max(options.min_coefficient, root * shortfall)
+        before = potential[selected]
+        potential[selected] = min(max(coefficient[selected] * root, before), 2.0 * before)
     else:
-        if shortfall > state[coefficient] / root:
-            state[coefficient] *= 2.0
-        state[potential] = state[coefficient] * root
+        if shortfall > coefficient[selected] / root:
+            coefficient[selected] *= 2.0
+        potential[selected] = coefficient[selected] * root
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -113,18 +142,20 @@ class D3rb:
     failure_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe)
 
     def parameters(self) -> Row:
         """``float64[5]``: mode, d_min, c, δ, whether coefficients are estimated."""
         mode, estimates = unit_mode(self.bounds), float(self.estimates)
-        return np.array([mode, self.min_coefficient, self.confidence, self.failure_probability, estimates])
+        return np.array(RegretOptions(mode, self.min_coefficient, self.confidence, self.failure_probability, estimates))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[7 · learners + 2]``."""
-        counts, coefficients = np.zeros(2 * num_learners), np.full(2 * num_learners, self.min_coefficient)
-        return np.concatenate([header(num_learners), unit_range(self.bounds), counts, coefficients])
+        least = self.min_coefficient
+        return new_state(self.layout, num_learners, limits=unit_range(self.bounds), coefficient=least, potential=least)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)

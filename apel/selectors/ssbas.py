@@ -7,17 +7,20 @@ window of constant length this is SW-UCB, which shares the two functions.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
+from apel.numerics.compiled import njit
+from apel.numerics.views import REST, Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
 from apel.selectors import windows
 from apel.selectors.indices import pick_largest, upper_confidence_bounds
 from apel.selectors.normalising import FIXED, Bounds, check_bounds, mode_of
+from apel.selectors.windows import Window, new_window, view_window
 
 NormaliseWindow = Literal["none", "minmax_window", "fixed_bounds"]
 """Raw performances, the range of those in the window, or given bounds (with clipping)."""
@@ -26,47 +29,76 @@ HALF = 0.0
 """The window parameter that stands for ⌊τ/2⌋."""
 
 
+class WindowOptions(NamedTuple):
+    """What rules over a window go by."""
+
+    exploration: float
+    length: float
+    """In episodes, or `HALF`."""
+    mode: float
+    low: float
+    high: float
+
+
+class WindowState(NamedTuple):
+    """The common blocks, then a window."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    window: Row
+    """See `apel.selectors.windows`."""
+
+
+LAYOUT = Layout(WindowState, window=REST)
+view_state, view_options = LAYOUT.view, named_numbers(WindowOptions)
+
+
+@njit
+def scale(options: WindowOptions, window: Window) -> tuple[float, float]:
+    """Low and high of the performances: given, or those of the window."""
+    return (options.low, options.high) if options.mode == FIXED else windows.extremes(window)
+
+
 @compiled_select
-def select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """A learner missing from the window first, else argmax x̄ₖ + √(ξ ln n / nₖ); ties uniformly at random."""
-    window = state[3 * num_learners :]
-    low, high = windows.extremes(window, num_learners)
-    if parameters[2] == FIXED:
-        low, high = parameters[3], parameters[4]
+    options, state = view_options(parameters), view_state(row, num_learners)
+    index, window = state.probability, view_window(state.window, num_learners)
+    low, high = scale(options, window)
     total = float(windows.episodes_inside(window))
-    count, performance_sum = windows.counts(window, num_learners), windows.sums(window, num_learners)
-    index = state[:num_learners]
-    upper_confidence_bounds(parameters[0], total, count, performance_sum, low, high, index)
+    upper_confidence_bounds(options.exploration, total, window.num_selections, window.performance_sum, low, high, index)
     return pick_largest(index, stream)
 
 
 @compiled_observe
-def observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """Append (learner, performance), advance τ, and drop what has left the window."""
-    state[num_learners + selected] = performance
-    if parameters[2] == FIXED:
-        performance = min(max(performance, parameters[3]), parameters[4])
-    window = state[3 * num_learners :]
-    windows.append(window, num_learners, selected, performance)
+    options, state = view_options(parameters), view_state(row, num_learners)
+    window = view_window(state.window, num_learners)
+    state.performance_estimate[selected] = performance
+    if options.mode == FIXED:
+        performance = min(max(performance, options.low), options.high)
+    windows.append(window, selected, performance)
     past = windows.past_episodes(window)
-    length = past // 2 if parameters[1] == HALF else min(past, int(parameters[1]))
-    windows.drop_before(window, num_learners, past - length)
+    length = past // 2 if options.length == HALF else min(past, int(options.length))
+    windows.drop_before(window, past - length)
 
 
-def window_parameters(
-    first: float, window: str | int, normalise: str, bounds: tuple[float, float] | None, *others: float
-) -> Row:
-    """What `observe` and the selectors that use it read: ``first`` | window | mode | low | high | ``others``."""
+def window_options(
+    exploration: float, window: str | int, normalise: str, bounds: tuple[float, float] | None
+) -> WindowOptions:
+    """What `observe` and the selectors that use it read."""
     length = HALF if isinstance(window, str) else float(window)
     low, high = bounds or (0.0, 1.0)
-    return np.array([first, length, mode_of(normalise), low, high, *others])
+    return WindowOptions(exploration, length, mode_of(normalise), low, high)
 
 
 def window_state(num_learners: int, num_episodes: int, window: str | int, normalise: str) -> Row:
     """The common blocks and an empty window with room for the longest that can come."""
     longest = num_episodes // 2 + 1 if isinstance(window, str) else min(window, num_episodes)
-    block = windows.new_window(num_learners, longest + 1, tracks_extremes=normalise == "minmax_window")
-    return np.concatenate([header(num_learners), block])
+    window_block = new_window(num_learners, longest + 1, tracks_extremes=normalise == "minmax_window")
+    return new_state(LAYOUT, num_learners, window=window_block)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -91,6 +123,8 @@ class Ssbas:
     normalise: NormaliseWindow = "none"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = LAYOUT
+
     select = staticmethod(select)
     observe = staticmethod(observe)
 
@@ -99,7 +133,7 @@ class Ssbas:
 
     def parameters(self) -> Row:
         """``float64[5]``: ξ, window (0: half), mode, low, high."""
-        return window_parameters(self.exploration, self.window, self.normalise, self.bounds)
+        return np.array(window_options(self.exploration, self.window, self.normalise, self.bounds))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 8 + 2 · capacity]``, 4 · capacity where extremes are tracked.

@@ -5,14 +5,16 @@ The rule is that of `apel.selectors.ssbas` with the last τ selections in place 
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
+import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.selection import SELECTOR_CONFIG, Row
+from apel.numerics.views import Layout, Row
+from apel.run.selection import SELECTOR_CONFIG
 from apel.selectors.normalising import Bounds, check_bounds
-from apel.selectors.ssbas import NormaliseWindow, observe, select, window_parameters, window_state
+from apel.selectors.ssbas import LAYOUT, NormaliseWindow, observe, select, window_options, window_state
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -36,6 +38,8 @@ class SwUcb:
     normalise: NormaliseWindow = "minmax_window"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = LAYOUT
+
     select = staticmethod(select)
     observe = staticmethod(observe)
 
@@ -44,7 +48,7 @@ class SwUcb:
 
     def parameters(self) -> Row:
         """``float64[5]``: ξ, τ, mode, low, high."""
-        return window_parameters(self.exploration, self.window, self.normalise, self.bounds)
+        return np.array(window_options(self.exploration, self.window, self.normalise, self.bounds))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 8 + 4 · (min(τ, episodes) + 1)]``; 2 in place of 4 without ``minmax_window``."""

@@ -10,19 +10,44 @@ chance, and the probability before them has no closed form.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, standard_gamma, uniform
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
 from apel.selectors.normalising import Bounds, to_unit, unit_mode, unit_range
-from apel.streams import Stream, standard_gamma, uniform
 
-# The state behind the common blocks: low, high | successes[n] | failures[n].
+
+class ThompsonOptions(NamedTuple):
+    """What both rules go by."""
+
+    mode: float
+    prior: float
+    """a: what successes and failures are counted from at a draw."""
+    forgetting: float
+    """γ of the discounted rule, C of the dynamic one."""
+
+
+class ThompsonState(NamedTuple):
+    """The common blocks, then the Beta distributions."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    """``float64[2]``: low and high of the performances."""
+    successes: Row
+    failures: Row
+
+
+_LAYOUT = Layout(ThompsonState, limits=2)
+_state, _options = _LAYOUT.view, named_numbers(ThompsonOptions)
 
 
 @njit
@@ -43,43 +68,42 @@ def beta(stream: Stream, successes: float, failures: float) -> float:
 
 
 @compiled_select
-def _select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def _select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """θₖ ~ Beta(a + Sₖ, a + Fₖ); argmax θₖ."""
-    prior = parameters[1]
-    first = 3 * num_learners + 2
+    prior, state = _options(parameters).prior, _state(row, num_learners)
     selected, largest = 0, -1.0
     for k in range(num_learners):
-        theta = beta(stream, prior + state[first + k], prior + state[first + num_learners + k])
+        theta = beta(stream, prior + state.successes[k], prior + state.failures[k])
         if theta > largest:
             selected, largest = k, theta
-    state[:num_learners] = 0.0
-    state[selected] = 1.0
+    state.probability[:] = 0.0
+    state.probability[selected] = 1.0
     return selected
 
 
 @compiled_observe
-def _observe_discounted(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe_discounted(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """S ← γ S, F ← γ F; then S_L ← S_L + r, F_L ← F_L + 1 − r."""
-    first = 3 * num_learners + 2
-    state[num_learners + selected] = performance
-    reward = to_unit(parameters[0], state[first - 2 : first], performance)
-    for i in range(first, first + 2 * num_learners):
-        state[i] *= parameters[2]
-    state[first + selected] += reward
-    state[first + num_learners + selected] += 1.0 - reward
+    options, state = _options(parameters), _state(row, num_learners)
+    state.performance_estimate[selected] = performance
+    reward = to_unit(options.mode, state.limits, performance)
+    for k in range(num_learners):
+        state.successes[k] *= options.forgetting
+        state.failures[k] *= options.forgetting
+    state.successes[selected] += reward
+    state.failures[selected] += 1.0 - reward
 
 
 @compiled_observe
-def _observe_dynamic(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def _observe_dynamic(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """α_L ← α_L + r, β_L ← β_L + 1 − r, both times C/(C + 1) once α_L + β_L has reached C."""
-    first = 3 * num_learners + 2
-    capacity = parameters[2]
-    state[num_learners + selected] = performance
-    reward = to_unit(parameters[0], state[first - 2 : first], performance)
-    success, failure = first + selected, first + num_learners + selected
-    factor = 1.0 if state[success] + state[failure] < capacity else capacity / (capacity + 1.0)
-    state[success] = (state[success] + reward) * factor
-    state[failure] = (state[failure] + 1.0 - reward) * factor
+    options, state = _options(parameters), _state(row, num_learners)
+    state.performance_estimate[selected] = performance
+    reward = to_unit(options.mode, state.limits, performance)
+    successes, failures, capacity = state.successes, state.failures, options.forgetting
+    factor = 1.0 if successes[selected] + failures[selected] < capacity else capacity / (capacity + 1.0)
+    successes[selected] = (successes[selected] + reward) * factor
+    failures[selected] = (failures[selected] + 1.0 - reward) * factor
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -97,16 +121,18 @@ class DiscountedTs:
     discount: Annotated[float, Field(gt=0.0, le=1.0)] = 0.95
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe_discounted)
 
     def parameters(self) -> Row:
         """``float64[3]``: mode, prior a = 1, γ."""
-        return np.array([unit_mode(self.bounds), 1.0, self.discount])
+        return np.array(ThompsonOptions(unit_mode(self.bounds), 1.0, self.discount))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 2]``."""
-        return np.concatenate([header(num_learners), unit_range(self.bounds), np.zeros(2 * num_learners)])
+        return new_state(self.layout, num_learners, limits=unit_range(self.bounds))
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -127,13 +153,15 @@ class DynamicTs:
     capacity: Annotated[float, Field(gt=2.0)] = 100.0
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(_select)
     observe = staticmethod(_observe_dynamic)
 
     def parameters(self) -> Row:
         """``float64[3]``: mode, prior a = 0 (it is in the state), C."""
-        return np.array([unit_mode(self.bounds), 0.0, self.capacity])
+        return np.array(ThompsonOptions(unit_mode(self.bounds), 0.0, self.capacity))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 2]``."""
-        return np.concatenate([header(num_learners), unit_range(self.bounds), np.ones(2 * num_learners)])
+        return new_state(self.layout, num_learners, limits=unit_range(self.bounds), successes=1.0, failures=1.0)

@@ -7,48 +7,72 @@ Both keep a count Nₖ and a sum Xₖ per learner, multiplied by γ after every 
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from apel.compiled import njit
-from apel.selection import SELECTOR_CONFIG, Row, compiled_observe, compiled_select, header
+from apel.numerics.compiled import njit
+from apel.numerics.views import Layout, Row, named_numbers
+from apel.run.selection import SELECTOR_CONFIG, compiled_observe, compiled_select, new_state
 from apel.selectors.indices import pick_largest, upper_confidence_bounds
 from apel.selectors.normalising import Bounds, Normalise, check_bounds, mode_of, range_of, take_in
 
-# The state behind the common blocks: low, high | N[n] | X[n].
+
+class UcbOptions(NamedTuple):
+    """What the rule goes by."""
+
+    exploration: float
+    mode: float
+    discount: float
+
+
+class UcbState(NamedTuple):
+    """The common blocks, then N and X."""
+
+    probability: Row
+    performance_estimate: Row
+    concentration: Row
+    limits: Row
+    """``float64[2]``: low and high of the performances."""
+    num_selections: Row
+    performance_sum: Row
+
+
+_LAYOUT = Layout(UcbState, limits=2)
+_state, _options = _LAYOUT.view, named_numbers(UcbOptions)
 
 
 @compiled_select
-def select(parameters: Row, num_learners: int, state: Row, stream: NDArray[np.uint64]) -> int:
+def select(parameters: Row, num_learners: int, row: Row, stream: NDArray[np.uint64]) -> int:
     """A learner that was never tried first, else argmax x̄ₖ + √(ξ ln n / Nₖ); ties uniformly at random."""
-    first = 3 * num_learners + 2
-    count, performance_sum = state[first : first + num_learners], state[first + num_learners : first + 2 * num_learners]
-    index = state[:num_learners]
-    low, high = state[first - 2], state[first - 1]
-    upper_confidence_bounds(parameters[0], count.sum(), count, performance_sum, low, high, index)
-    return pick_largest(index, stream)
+    state = _state(row, num_learners)
+    exploration, total = _options(parameters).exploration, state.num_selections.sum()
+    low, high = state.limits[0], state.limits[1]
+    upper_confidence_bounds(
+        exploration, total, state.num_selections, state.performance_sum, low, high, state.probability
+    )
+    return pick_largest(state.probability, stream)
 
 
 @njit
-def count_episode(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
+def count_episode(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
     """N ← γ N, X ← γ X; then N_L ← N_L + 1, X_L ← X_L + performance."""
-    mode, discount = parameters[1], parameters[2]
-    first = 3 * num_learners + 2
-    state[num_learners + selected] = performance
-    kept = take_in(mode, state[first - 2 : first], performance)
-    for i in range(first, first + 2 * num_learners):
-        state[i] *= discount
-    state[first + selected] += 1.0
-    state[first + num_learners + selected] += kept
+    options, state = _options(parameters), _state(row, num_learners)
+    state.performance_estimate[selected] = performance
+    kept = take_in(options.mode, state.limits, performance)
+    for k in range(num_learners):
+        state.num_selections[k] *= options.discount
+        state.performance_sum[k] *= options.discount
+    state.num_selections[selected] += 1.0
+    state.performance_sum[selected] += kept
 
 
 @compiled_observe
-def _observe(parameters: Row, num_learners: int, state: Row, selected: int, performance: float) -> None:
-    count_episode(parameters, num_learners, state, selected, performance)
+def _observe(parameters: Row, num_learners: int, row: Row, selected: int, performance: float) -> None:
+    count_episode(parameters, num_learners, row, selected, performance)
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -69,6 +93,8 @@ class Ucb1:
     normalise: Normalise = "minmax"
     bounds: Bounds | None = None
 
+    layout: ClassVar[Layout[Any]] = _LAYOUT
+
     select = staticmethod(select)
     observe = staticmethod(_observe)
 
@@ -77,11 +103,11 @@ class Ucb1:
 
     def parameters(self) -> Row:
         """``float64[3]``: ξ, mode, γ = 1."""
-        return np.array([self.exploration, mode_of(self.normalise), 1.0])
+        return np.array(UcbOptions(self.exploration, mode_of(self.normalise), 1.0))
 
     def initial_state(self, num_learners: int, num_episodes: int) -> Row:
         """``float64[5 · learners + 2]``."""
-        return np.concatenate([header(num_learners), range_of(self.normalise, self.bounds), np.zeros(2 * num_learners)])
+        return new_state(self.layout, num_learners, limits=range_of(self.normalise, self.bounds))
 
 
 @dataclass(frozen=True, config=SELECTOR_CONFIG)
@@ -107,4 +133,4 @@ class DUcb(Ucb1):
 
     def parameters(self) -> Row:
         """``float64[3]``: ξ, mode, γ."""
-        return np.array([self.exploration, mode_of(self.normalise), self.discount])
+        return np.array(UcbOptions(self.exploration, mode_of(self.normalise), self.discount))

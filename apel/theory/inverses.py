@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from scipy.optimize import brentq
+import scipy
 
 from apel.theory import closed_forms
 from apel.theory.ranges import (
@@ -112,5 +112,7 @@ def falling_root(function: Callable[[float], float], value: float, highest: floa
     lowest = highest / 2.0
     while function(lowest) <= value:
         lowest /= 8.0
-    root = brentq(lambda log: function(math.exp(log)) - value, math.log(lowest), math.log(highest), xtol=1e-13)
+    root = scipy.optimize.brentq(
+        lambda log: function(math.exp(log)) - value, math.log(lowest), math.log(highest), xtol=1e-13
+    )
     return math.exp(root)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from scipy.optimize import brentq
+import scipy
 
 from apel.theory import selection_aware
 from apel.theory.ranges import (
@@ -118,7 +118,9 @@ def _first_root(function: Callable[[float], float], value: float, lowest: float,
     while below < highest:
         above = min(below * _STEP, highest)
         if function(above) <= value:
-            log = brentq(lambda x: function(math.exp(x)) - value, math.log(below), math.log(above), xtol=1e-12)
+            log = scipy.optimize.brentq(
+                lambda x: function(math.exp(x)) - value, math.log(below), math.log(above), xtol=1e-12
+            )
             return math.exp(log)
         below = above
     message = f"episodes: found {value:g}, expected at least {function(highest):.3g}: no decay is faster"

@@ -7,27 +7,29 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import requests
 from ray.exceptions import AuthenticationError
 from ray.job_submission import JobSubmissionClient
 from requests.exceptions import RequestException
 
 from cluster.errors import ClusterError
-from jobs.remote import DEFAULT_ADDRESS
-from jobs.yaml_source import SpecError
+from cluster.reachability import within
+from jobs.remote.places import dashboard_address
+
+_CONNECT_SECONDS, _ANSWER_SECONDS = 5.0, 9.0
 
 
 @contextmanager
 def connected(address: str) -> Iterator[JobSubmissionClient]:
     """A connection to a dashboard; its errors in our words."""
-    if not address.startswith(("http://", "https://")):
-        message = f"--address: found {address!r}, expected that of a dashboard, such as {DEFAULT_ADDRESS}"
-        raise SpecError(message)
+    dashboard_address("--address", address)
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     # Ray lets this variable win over the address that it is given.
     os.environ["RAY_API_SERVER_ADDRESS"] = address
     for name in ("ray", "ray.dashboard.modules.dashboard_sdk"):  # which tell of every upload
         logging.getLogger(name).setLevel(logging.WARNING)
     try:
+        _knock(address)
         yield JobSubmissionClient(address)
     except (ConnectionError, RequestException) as error:
         message = f"could not reach a dashboard at {address}: {error}"
@@ -41,6 +43,21 @@ def connected(address: str) -> Iterator[JobSubmissionClient]:
     except RuntimeError as error:
         message = f"the cluster at {address} refuses: {error}"
         raise ClusterError(message) from error
+
+
+def _knock(address: str) -> None:
+    """See in a few seconds that somebody answers, whatever it is: Ray's own client has no time-outs."""
+
+    def ask() -> None:
+        limits = (_CONNECT_SECONDS, _ANSWER_SECONDS)
+        try:
+            requests.get(f"{address.rstrip('/')}/api/version", timeout=limits, stream=True).close()
+        except requests.ConnectionError as error:
+            if isinstance(error, requests.Timeout):
+                raise
+            # Where it is refused Ray's client says so, as soon.
+
+    within(_CONNECT_SECONDS + _ANSWER_SECONDS, ask, f"could not reach a dashboard at {address}: found no answer")
 
 
 def read_log_file(client: JobSubmissionClient, node: str, name: str, timeout_seconds: int = 30) -> Iterator[bytes]:

@@ -15,52 +15,64 @@ import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, Any
+from pathlib import Path
+from typing import IO, Any
 
 from ray.job_submission import JobSubmissionClient
 
 from cluster.errors import ClusterError
-from cluster.storage import Folder
+from jobs.progress.status_file import status_file_name
 from jobs.remote.connection import connected, read_log_file
 from jobs.remote.packing import NOT_FETCHED, archive_name
-from jobs.status_file import status_file_name
-
-if TYPE_CHECKING:
-    from jobs.remote.submission import Job
+from jobs.remote.status import Status
+from jobs.results.storage import Folder, reached
 
 _READY_SECONDS, _DOWNLOAD_SECONDS, _POLL_SECONDS = 300.0, 3600, 0.3
 
 
-def fetch(job: Job, destination: Path) -> Path:
-    """See `jobs.remote.submission.Job.fetch`."""
-    status = job.status()
+def fetch_results(address: str, status: Status, destination: Path) -> Path:
+    """Copy the results of a job of the cluster at ``address``; see `jobs.remote.job.Job.fetch`."""
     if status.progress is None:
-        message = f"{job.id}: found nothing to fetch yet: the job has not said where its results lie"
+        message = f"{status.job}: found nothing to fetch yet: the job has not said where its results lie"
         raise ClusterError(message)
     progress = status.progress
-    target = destination / progress["experiment"] / progress["identity"]
+    target = destination / _own_name(progress["experiment"]) / _own_name(progress["identity"])
     if "://" in progress["results"] and not progress["results"].startswith("file:"):
-        _copy(Folder(progress["results"]), target)
+        _copy(reached(progress["results"]), target)
     else:
-        _fetch_through(job, progress["results"], target)
+        _fetch_through(address, status.job, progress["results"], target)
     return target
+
+
+def _own_name(name: str) -> str:
+    """The name of a folder within another one; what a job says of itself is as good as whoever submitted it.
+
+    Raises
+    ------
+    ClusterError
+        If it leads elsewhere.
+    """
+    if name in ("", ".", "..") or "/" in name or "\0" in name:
+        message = f"found a job that calls its results {name!r}, expected the name of a folder: nothing is fetched"
+        raise ClusterError(message)
+    return name
 
 
 def _copy(source: Folder, target: Path) -> None:
     for name in source.names():
-        if name.split("/")[0] not in NOT_FETCHED:
-            path = target / PurePosixPath(name)
+        parts = [_own_name(part) for part in name.split("/")]
+        if parts[0] not in NOT_FETCHED:
+            path = target.joinpath(*parts)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(source.read(name))
 
 
-def _fetch_through(job: Job, results: str, target: Path) -> None:
-    with _packed(job, results) as (client, node, name, size), tempfile.TemporaryFile() as archive:
+def _fetch_through(address: str, job: str, results: str, target: Path) -> None:
+    with _packed(address, results) as (client, node, name, size), tempfile.TemporaryFile() as archive:
         for piece in read_log_file(client, node, name, _DOWNLOAD_SECONDS):
             archive.write(piece)
         if archive.tell() != size:
-            message = f"{job.id}: found {archive.tell()} bytes of {size}: the connection broke off; fetch again"
+            message = f"{job}: found {archive.tell()} bytes of {size}: the connection broke off; fetch again"
             raise ClusterError(message)
         archive.seek(0)
         _unpack(archive, target)
@@ -73,10 +85,10 @@ def _unpack(archive: IO[bytes], target: Path) -> None:
 
 
 @contextmanager
-def _packed(job: Job, results: str) -> Iterator[tuple[JobSubmissionClient, str, str, int]]:
+def _packed(address: str, results: str) -> Iterator[tuple[JobSubmissionClient, str, str, int]]:
     """Client, node, name and size of an archive that is there for as long as the body runs."""
     helper = f"fetch-{uuid.uuid4().hex[:12]}"
-    with connected(job.address) as client:
+    with connected(address) as client:
         client.submit_job(entrypoint=shlex.join(("apel", "pack", results)), submission_id=helper)
         try:
             node, size = _wait_for_archive(client, helper)

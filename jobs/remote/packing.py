@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cluster.storage import Folder
-from jobs.status_file import replace_json, status_file_name
+from jobs.progress.status_file import replace_json, status_file_name
+from jobs.results.lease import LEASES
+from jobs.results.storage import Folder
 
-NOT_FETCHED = ("checkpoints", "claims", "spilled")
-"""What only the job itself needs."""
+NOT_FETCHED = ("checkpoints", LEASES, "damaged", "spilled")
+"""What only the job itself needs, and what is no result."""
 _MOST_SECONDS = 3600.0
 
 

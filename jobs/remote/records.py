@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jobs.yaml_source import SpecError
+from jobs.experiment.yaml_source import SpecError
 
 _PACKAGE, _RECORD = "package", "job.json"
 

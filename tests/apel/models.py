@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from apel.configs import EnvironmentConfig
+from apel.dynamics.finite_model import FiniteModel
 from apel.environments import Maze, make_world
-from apel.finite import FiniteModel
 
 
 def lottery(max_steps: int = 20, num_distractors: int = 1) -> FiniteModel:

@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from apel.finite import FiniteModel
+from apel.dynamics.finite_model import FiniteModel
 from tests.apel.splitmix import SplitMix64, episode_seed, evaluation_seed
 
 Key = tuple[int, ...]

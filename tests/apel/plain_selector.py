@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.selection import Observe, Row, Select, Selector
+from apel.numerics.views import Row
+from apel.run.selection import Observe, Select, Selector
 
 
 @dataclass(frozen=True)

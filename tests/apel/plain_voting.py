@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from apel.finite import FiniteModel
+from apel.dynamics.finite_model import FiniteModel
 from tests.apel.plain_q_learning import PlainLearner, PlainQLearning
 from tests.apel.splitmix import SplitMix64
 

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from apel.book import RUNNING, Book, EpisodeRows, open_book, replay
 from apel.building import make_bank, make_performance
 from apel.configs import LearnerConfig
 from apel.ensemble import Ensemble, EpisodeRecord
 from apel.environments import World
 from apel.learners import LearnerBank
 from apel.learners.base import Failure, StreakLimit
-from apel.metrics import Criterion
-from apel.selection import Selector
+from apel.run.criterion import Criterion
+from apel.run.opening import open_book
+from apel.run.selection import Selector
+from apel.run.state import RUNNING, Book, EpisodeRows, replay
 
 SHORT = StreakLimit(episodes=5, steps=10**4)
 

@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
-from apel.building import is_tabular, make_bank, make_member, make_performance, make_selector
+from apel.building import is_tabular, make_bank, make_learner, make_performance, make_selector
+from apel.building.registry import SELECTORS
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
 from apel.environments import World, make_world
-from apel.learners import GenericBank, QLearning, TabularBank
-from apel.registry import SELECTORS
-from apel.representations import Bins, Representation
-from apel.seeding import Role, make_key
-from apel.selection import Selector
+from apel.experience.representations import Bins, Representation
+from apel.learners import CompiledBank, LockstepBank, QLearning
+from apel.numerics.seeding import Role, make_key
+from apel.run.selection import Selector
 from apel.selectors import Apel, Ssbas
 from tests.apel import user_learner
 
@@ -82,7 +82,7 @@ def test_wrong_selector_is_one_clear_line(config: SelectorConfig, parts: list[st
         (LearnerConfig("dqn2"), ["found the learner 'dqn2'", "'q_learning'"]),
         (LearnerConfig("no_such_module:Learner"), ["importing 'no_such_module' failed: ModuleNotFoundError"]),
         (LearnerConfig(f"{HERE}:Nobody"), [f"module '{HERE}' has no 'Nobody'"]),
-        (LearnerConfig(f"{HERE}:NoLearner"), ["found NoLearner, expected a learner"]),
+        (LearnerConfig(f"{HERE}:NoLearner"), ["found NoLearner without off_policy, ", ", expected a learner"]),
         (LearnerConfig(f"{HERE}:NOT_CALLABLE"), [f"{HERE}:NOT_CALLABLE: ", "not callable"]),
         (LearnerConfig(f"{HERE}:OnPolicy"), [f"{HERE}:OnPolicy is not off-policy"]),
         (LearnerConfig(f"{HERE}:AverageReward", {"explore_every": 0}), ["AverageReward: explore_every: found 0"]),
@@ -99,7 +99,7 @@ def test_wrong_selector_is_one_clear_line(config: SelectorConfig, parts: list[st
 def test_wrong_learner_is_one_clear_line(maze: World, config: LearnerConfig, parts: list[str]) -> None:
     """A learner that cannot be made is refused in one line, by the plain loop and by a bank alike."""
     with pytest.raises(ValueError, match=r".") as error:
-        make_member(config, maze, 1, 0)
+        make_learner(config, maze, 1, 0)
     assert_one_line(error, *parts)
     with pytest.raises(ValueError, match=r".") as error:
         make_bank([config], [maze], [1], 0, "return", with_probability=False)
@@ -108,23 +108,25 @@ def test_wrong_learner_is_one_clear_line(maze: World, config: LearnerConfig, par
 
 def test_table_for_a_continuous_environment_is_refused(cart_pole: World) -> None:
     """Q-learning on CartPole without bins says what is missing."""
-    with pytest.raises(ValueError, match="expected a discrete one, or a representation with bins") as error:
-        make_member(LearnerConfig("q_learning"), cart_pole, 1, 0)
-    assert_one_line(error, "q_learning: a table needs finitely many states")
+    with pytest.raises(ValueError, match="a table needs finitely many states; a representation with bins") as error:
+        make_learner(LearnerConfig("q_learning"), cart_pole, 1, 0)
+    assert_one_line(
+        error, "q_learning: found the observation space Box", "or another learner, such as voting, dqn, acer, sac"
+    )
 
 
 def test_bins_that_do_not_fit_are_refused(cart_pole: World) -> None:
     """One entry of bins per feature."""
     config = LearnerConfig("q_learning", {}, Representation(bins=(Bins(-1, 1, 2),)))
     with pytest.raises(ValueError, match="bins: found 1 for"):
-        make_member(config, cart_pole, 1, 0)
+        make_learner(config, cart_pole, 1, 0)
 
 
 def test_member_has_its_own_seed(maze: World) -> None:
     """Learner i of a run is seeded by the run's seed and i, and by nothing else."""
     seeds = set()
     for run_seed, index in ((1, 0), (1, 1), (2, 0)):
-        learner = make_member(LearnerConfig(f"{HERE}:Recorder"), maze, run_seed, index).learner
+        learner = make_learner(LearnerConfig(f"{HERE}:Recorder"), maze, run_seed, index)[0]
         assert isinstance(learner, user_learner.Recorder)
         assert learner.seed == make_key(run_seed, Role.LEARNER, index)
         seeds.add(learner.seed)
@@ -136,14 +138,14 @@ def test_bank_is_compiled_where_possible(maze: World, cart_pole: World) -> None:
     bins = Representation(bins=(Bins(-1, 1, 2),) * 4)
     cases: list[tuple[LearnerConfig, World, bool]] = [
         (LearnerConfig("q_learning"), maze, True),
-        (LearnerConfig("apel.learners.q_learning:QLearning"), maze, False),
+        (LearnerConfig("apel.learners.tabular.q_learning:QLearning"), maze, False),
         (LearnerConfig(f"{HERE}:AverageReward"), maze, False),
         (LearnerConfig("q_learning", {}, bins), cart_pole, False),
     ]
     for config, world, compiled in cases:
         assert is_tabular([config] * 2, [world] * 2) == compiled
         bank = make_bank([config] * 2, [world] * 2, [1, 2], 0, "return", with_probability=False)
-        assert isinstance(bank, TabularBank if compiled else GenericBank)
+        assert isinstance(bank, CompiledBank if compiled else LockstepBank)
 
 
 def test_runs_may_differ_in_options_and_views(maze: World) -> None:
@@ -153,9 +155,9 @@ def test_runs_may_differ_in_options_and_views(maze: World) -> None:
         LearnerConfig("q_learning", {"exploration": {"before": 1.0, "episode": 3, "after": 0.0}}),
     ]
     bank = make_bank(configs, [maze, maze], [1, 2], 0, "return", with_probability=False)
-    assert isinstance(bank, TabularBank)
+    assert isinstance(bank, CompiledBank)
     assert bank.state()["value"].shape == (2, 9, 4)
-    members = [make_member(config, maze, 1, 0).learner for config in configs]
+    members = [make_learner(config, maze, 1, 0)[0] for config in configs]
     assert all(isinstance(member, QLearning) for member in members)
 
 
@@ -190,4 +192,4 @@ def test_unknown_option_of_a_user_is_named_like_ours() -> None:
     path = f"{HERE}:AverageReward"
     world: Any = make_world(EnvironmentConfig("FrozenLake-v1"), 1)
     with pytest.raises(ValueError, match=f"^{path}: explore_every: found -3, expected at least 1$"):
-        make_member(LearnerConfig(path, {"explore_every": -3}), world, 1, 0)
+        make_learner(LearnerConfig(path, {"explore_every": -3}), world, 1, 0)

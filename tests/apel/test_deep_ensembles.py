@@ -1,18 +1,18 @@
-"""Ensembles with deep learners: the plain loop of Algorithm 5 one run at a time, and all runs of a shard in stacks."""
+"""Ensembles with deep learners: the plain loop of Algorithm 5 one run at a time, and all runs of a shard at once."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from apel.building.registry import load
 from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import World, make_world
-from apel.learners import GenericBank, StackedBank
+from apel.experience.representations import Bins, Representation
+from apel.learners import LearnerBank, LearnerList, LockstepBank
 from apel.learners.base import StreakLimit
-from apel.metrics import Criterion
-from apel.registry import load
-from apel.representations import Bins, Representation
-from apel.selection import freezes_policies
+from apel.run.criterion import Criterion
+from apel.run.selection import freezes_policies
 from apel.selectors import Apel, Fixed, Uniform
 from tests.apel.freezing import FreezingUniform
 from tests.apel.plain_selector import PlainSelector
@@ -48,6 +48,11 @@ def worlds_of(config: EnvironmentConfig) -> list[World]:
     return [make_world(config, seed, factory) for seed in SEEDS]
 
 
+def is_batched(bank: LearnerBank) -> bool:
+    """Whether the learners of all runs are computed together."""
+    return isinstance(bank, LockstepBank) and not isinstance(bank.learner, LearnerList)
+
+
 @pytest.mark.parametrize("selector", [Apel(decay=0.05), FreezingUniform(), PlainSelector(Uniform())], ids=repr)
 @pytest.mark.parametrize(
     ("letters", "config"),
@@ -55,13 +60,13 @@ def worlds_of(config: EnvironmentConfig) -> list[World]:
     ids=lambda value: value if isinstance(value, str) else value.id,
 )
 def test_stacks_give_the_rows_of_algorithm_5(letters: str, config: EnvironmentConfig, selector: object) -> None:
-    """Whatever the streaks, a stack of runs gives, bit for bit, what each run gives by itself."""
+    """Whatever the streaks, the runs of a shard together give, bit for bit, what each run gives by itself."""
     learners = [learner(letter, config) for letter in letters]
     rows, _ = ensemble_rows(learners, worlds_of(config), SEEDS, selector, EPISODES)
     for limit in (StreakLimit(5, 10**4), StreakLimit(1, 1)):
         worlds = worlds_of(config)
         banks = make_banks(learners, worlds, SEEDS, with_probability=True, freezes=freezes_policies(selector))
-        assert [isinstance(bank, StackedBank) for bank in banks] == [letter.isupper() for letter in letters]
+        assert [is_batched(bank) for bank in banks] == [letter.isupper() for letter in letters]
         played = play_rounds(banks, worlds, SEEDS, selector, EPISODES, limit=limit)
         assert played.failures == []
         assert_same_rows(played.rows, rows)
@@ -86,7 +91,9 @@ def test_runs_that_differ_are_not_stacked() -> None:
     configs = [LearnerConfig("dqn", TINY, Representation(exclude=(name,))) for name in (0, 1, 2, 2)]
     from apel.building import make_bank
 
-    assert isinstance(make_bank(configs, worlds, SEEDS, 0, "return", with_probability=False), GenericBank)
+    bank = make_bank(configs, worlds, SEEDS, 0, "return", with_probability=False)
+    assert isinstance(bank, LockstepBank)
+    assert isinstance(bank.learner, LearnerList)
 
 
 def test_callable_performance_sees_the_trajectory() -> None:
@@ -110,7 +117,7 @@ def test_failing_run_fails_alone(fault: str, monkeypatch: pytest.MonkeyPatch) ->
     worlds = worlds_of(CORRIDOR)
     learners = [learner("D", CORRIDOR)]
     (bank,) = make_banks(learners, worlds, SEEDS)
-    assert isinstance(bank, StackedBank)
+    assert isinstance(bank, LockstepBank)
     rows, _ = ensemble_rows(learners, worlds_of(CORRIDOR), SEEDS, Fixed(), EPISODES)
     broken = worlds[2].environment.unwrapped
     if fault == "measure":

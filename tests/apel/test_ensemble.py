@@ -8,13 +8,13 @@ import pytest
 from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.ensemble import Ensemble
 from apel.environments import World, make_world
-from apel.learners import Decay, GenericBank, QLearning, Switch, TabularBank
+from apel.experience.representations import Bins, Representation
+from apel.experience.trajectory import Trajectory
+from apel.learners import CompiledBank, Decay, LockstepBank, QLearning, Switch
 from apel.learners.base import StreakLimit
-from apel.metrics import Criterion, Threshold
-from apel.representations import Bins, Representation
-from apel.selection import Selector
-from apel.selectors import Apel, Fixed, Ssbas, Uniform
-from apel.trajectory import Trajectory
+from apel.run.criterion import Criterion, Threshold
+from apel.run.selection import Selector
+from apel.selectors import Apel, Fixed, Incumbent, Ssbas, Uniform
 from tests.apel import user_learner
 from tests.apel.plain_selector import PlainSelector
 from tests.apel.rounds import assert_same_rows, ensemble_rows, make_banks, play_rounds
@@ -35,8 +35,8 @@ USERS = LearnerConfig(f"{HERE}:AverageReward", {"explore_every": 2})
 BINS = Representation(bins=(Bins(-2.4, 2.4, 3), Bins(-3, 3, 4), Bins(-0.21, 0.21, 6), Bins(-3.5, 3.5, 4)))
 IN_BINS = LearnerConfig("q_learning", {"exploration": 0.2}, BINS)
 
-SELECTORS: list[Selector] = [Apel(decay=0.05), Ssbas(), PlainSelector(Apel(decay=0.05)), Uniform()]
-selectors = pytest.mark.parametrize("selector", SELECTORS, ids=["apel", "ssbas", "plain apel", "uniform"])
+SELECTORS: list[Selector] = [Apel(decay=0.05), Ssbas(), PlainSelector(Apel(decay=0.05)), Uniform(), Incumbent(0.2, 0.3)]
+selectors = pytest.mark.parametrize("selector", SELECTORS, ids=["apel", "ssbas", "plain apel", "uniform", "incumbent"])
 
 
 def worlds_of(config: EnvironmentConfig) -> list[World]:
@@ -47,12 +47,12 @@ def worlds_of(config: EnvironmentConfig) -> list[World]:
 @pytest.mark.parametrize(
     ("config", "learners", "kinds"),
     [
-        (MAZE, [DECAYING, REDUCED], [TabularBank] * 2),
-        (MAZE, [REDUCED, SWITCHING, FAST], [TabularBank] * 3),
-        (FROZEN_LAKE, [DECAYING, FAST], [TabularBank] * 2),
-        (FROZEN_LAKE, [FAST, USERS], [TabularBank, GenericBank]),
-        (MAZE, [USERS, REDUCED], [GenericBank, TabularBank]),
-        (CART_POLE, [IN_BINS, USERS], [GenericBank] * 2),
+        (MAZE, [DECAYING, REDUCED], [CompiledBank] * 2),
+        (MAZE, [REDUCED, SWITCHING, FAST], [CompiledBank] * 3),
+        (FROZEN_LAKE, [DECAYING, FAST], [CompiledBank] * 2),
+        (FROZEN_LAKE, [FAST, USERS], [CompiledBank, LockstepBank]),
+        (MAZE, [USERS, REDUCED], [LockstepBank, CompiledBank]),
+        (CART_POLE, [IN_BINS, USERS], [LockstepBank] * 2),
     ],
     ids=["maze", "maze of three", "frozen lake", "frozen lake and user", "maze and user", "cart pole and user"],
 )
@@ -157,7 +157,7 @@ def test_single_learner_is_q_learning() -> None:
     assert all(record.selected == 0 and record.probability.tolist() == [1.0] for record in records)
     (bank,) = make_banks([FAST], [world], SEEDS[:1])
     play_rounds([bank], [world], SEEDS[:1], Apel(), 50)
-    learner = ensemble.members[0].learner
+    learner = ensemble.learners[0]
     assert isinstance(learner, QLearning)
     assert bank.state()["value"][0].tolist() == [learner.table[(state,)].tolist() for state in range(16)]
 
@@ -171,7 +171,7 @@ def test_all_learners_see_every_transition() -> None:
     ]
     ensemble = Ensemble(world, [*recorders, FAST], Apel(), 3, 30)
     records = list(ensemble.run())
-    whole, reduced, q = (member.learner for member in ensemble.members)
+    whole, reduced, q = ensemble.learners
     assert isinstance(whole, user_learner.Recorder)
     assert isinstance(reduced, user_learner.Recorder)
     assert isinstance(q, QLearning)
@@ -196,7 +196,7 @@ def test_learner_is_made_with_its_view_and_seed() -> None:
     """A user's learner receives the reduced space and a 64-bit seed of its own."""
     recorder = LearnerConfig(f"{HERE}:Recorder", {}, Representation(exclude=("x", "distractor")))
     ensemble = Ensemble(worlds_of(MAZE)[0], [recorder, recorder], Apel(), 3, 1)
-    first, second = (member.learner for member in ensemble.members)
+    first, second = ensemble.learners
     assert isinstance(first, user_learner.Recorder)
     assert isinstance(second, user_learner.Recorder)
     assert first.space.nvec.tolist() == [4]
@@ -209,7 +209,7 @@ def test_truncation_is_told_from_termination() -> None:
     recorders = [LearnerConfig(f"{HERE}:Recorder")] * 2
     ensemble = Ensemble(worlds_of(FROZEN_LAKE)[0], recorders, Uniform(), 8, 40)
     records = list(ensemble.run())
-    one, other = (member.learner for member in ensemble.members)
+    one, other = ensemble.learners
     assert isinstance(one, user_learner.Recorder)
     assert isinstance(other, user_learner.Recorder)
     ends = [(step.terminated, step.truncated) for step in one.seen if step.terminated or step.truncated]
@@ -266,8 +266,8 @@ def test_failing_learner_ends_its_run_alone() -> None:
         if len(learners) > 1:
             # Run 1 is played with a learner that does not fail.
             broken = learners.index(config)
-            members = [banks[broken]._members[0], banks[1 - broken]._members[1]]  # type: ignore[attr-defined]
-            banks[broken]._members = members  # type: ignore[attr-defined]
+            lists = [bank.learner.learners for bank in banks]  # type: ignore[attr-defined]
+            lists[broken][1] = lists[1 - broken][1]
         played = play_rounds(banks, worlds, SEEDS, Uniform(), 40)
         failed = {0} if len(learners) > 1 else {0, 1}
         assert {failure.run for failure in played.failures} == failed
@@ -300,9 +300,9 @@ def test_generic_bank_equals_tabular_bank() -> None:
     """The plain Q-learner by import path, in the generic bank, gives the rows of the compiled bank."""
     worlds = worlds_of(MAZE)
     shipped = [DECAYING, REDUCED]
-    plain = [LearnerConfig("apel.learners.q_learning:QLearning", c.options, c.representation) for c in shipped]
+    plain = [LearnerConfig("apel.learners.tabular.q_learning:QLearning", c.options, c.representation) for c in shipped]
     results = []
-    for learners, kind in ((shipped, TabularBank), (plain, GenericBank)):
+    for learners, kind in ((shipped, CompiledBank), (plain, LockstepBank)):
         banks = make_banks(learners, worlds, SEEDS)
         assert all(isinstance(bank, kind) for bank in banks)
         results.append(play_rounds(banks, worlds, SEEDS, Apel(), 50).rows)
@@ -312,7 +312,7 @@ def test_generic_bank_equals_tabular_bank() -> None:
 def test_trajectory_of_a_finite_environment_holds_state_numbers() -> None:
     """Member and compiled bank record the same trajectory: state numbers, not vectors, with the same μ."""
     world, recorded = worlds_of(MAZE)[0], {}
-    for path in ("q_learning", "apel.learners.q_learning:QLearning"):
+    for path in ("q_learning", "apel.learners.tabular.q_learning:QLearning"):
         (bank,) = make_banks([LearnerConfig(path)], [world], SEEDS[:1], with_probability=True)
         book = Ensemble(world, [FAST], Fixed(), SEEDS[0], 5)._book
         batch = bank.play([0], book, Fixed(), 0, StreakLimit(5, 10**5), record=True).batch

@@ -4,19 +4,20 @@ import math
 
 import pytest
 
-from apel.learners.q_learning import QLearning
-from apel.registry import LEARNERS, METRICS, SELECTORS, load, resolve
+from apel.building.registry import LEARNERS, METRICS, SELECTORS, load, resolve
+from apel.learners.tabular.q_learning import QLearning
 from apel.selectors import Apel
 
 
 def test_shipped_names() -> None:
     """The names that experiment files use."""
-    assert set(LEARNERS) == {"q_learning", "dyna_q", "voting", "dqn", "acer", "sac", "stable_baselines"}
+    ours = {"q_learning", "dyna_q", "voting", "dqn", "acer", "sac"}
+    assert set(LEARNERS) == ours | {"stable_baselines", "stable_baselines_on_policy"}
     families = (
         {"apel", "apel_recency", "apel_margin", "apel_surprise"},
         {"ssbas", "esbas", "ucb1", "sw_ucb", "d_ucb", "agent57", "d3rb", "ed2rb"},
         {"discounted_ts", "dynamic_ts", "exp3", "exp3s", "corral"},
-        {"epsilon_greedy", "uniform", "fixed"},
+        {"incumbent", "epsilon_greedy", "uniform", "fixed"},
     )
     assert set(SELECTORS) == set().union(*families)
     assert set(METRICS) == {"return", "negative_length"}
@@ -29,7 +30,7 @@ def test_name_stands_for_what_is_shipped() -> None:
 
 def test_import_path_stands_for_its_object() -> None:
     """``package.module:Name`` is imported, of ours or of anyone's."""
-    assert resolve("apel.learners.q_learning:QLearning", LEARNERS, "learner") is QLearning
+    assert resolve("apel.learners.tabular.q_learning:QLearning", LEARNERS, "learner") is QLearning
     assert load("math:tau") == math.tau
 
 

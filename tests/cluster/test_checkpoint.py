@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cluster.checkpoint import CheckpointError, pack, unpack
+from cluster.checkpoint import CheckpointError, pack, seal, unpack, unseal
 
 PLAIN = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
 ARRAYS = hnp.arrays(st.sampled_from([np.float64, np.int64, np.uint64, np.bool_, np.float32]), hnp.array_shapes())
@@ -56,7 +57,7 @@ def test_code_is_refused(tree: Any) -> None:
 @pytest.mark.parametrize("content", [b"", b"no file", pack({"a": np.zeros(3)})[:-40]])
 def test_damaged_file(content: bytes) -> None:
     """A damaged file is told from a checkpoint."""
-    with pytest.raises(CheckpointError, match="found an unreadable checkpoint"):
+    with pytest.raises(CheckpointError, match="found an unreadable state"):
         unpack(content)
 
 
@@ -66,3 +67,32 @@ def test_pickles_are_not_loaded(tmp_path: Any) -> None:
     np.savez(path, tree=np.array([{"a": 1}], dtype=object))
     with pytest.raises(CheckpointError):
         unpack(path.read_bytes())
+
+
+LABEL = {"arm": "APEL", "runs": "0-5"}
+SEALED = seal(pack({"a": np.arange(30), "b": ["text", 1.5]}), LABEL)
+
+
+def test_every_byte_is_covered() -> None:
+    """Wherever a bit is flipped, or the file is cut off, that is seen."""
+    for place in range(len(SEALED)):
+        for bit in (1, 32, 128):
+            flipped = bytearray(SEALED)
+            flipped[place] ^= bit
+            with pytest.raises(CheckpointError):
+                unseal(bytes(flipped), LABEL)
+        with pytest.raises(CheckpointError):
+            unseal(SEALED[:place], LABEL)
+
+
+def test_seal_keeps_the_format() -> None:
+    """A sealed file is still one that NumPy reads."""
+    with np.load(io.BytesIO(SEALED)) as arrays:
+        assert arrays["a0"].tolist() == list(range(30))
+
+
+@pytest.mark.parametrize("label", [{}, {"arm": "APEL"}, {**LABEL, "seed": "1"}, {**LABEL, "arm": "SSBAS"}])
+def test_seal_of_another(label: dict[str, str]) -> None:
+    """What is another one's is refused, with what it is and what it should be."""
+    with pytest.raises(CheckpointError, match=r"^found the (arm|runs|seed) .*, expected"):
+        unseal(SEALED, label)

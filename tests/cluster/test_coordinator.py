@@ -3,81 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from apel.book import EpisodeRows
-from apel.learners.base import Played, State
-from cluster.checkpoint import CheckpointError, pack, unpack
+from apel.learners.base import State
+from apel.run.state import EpisodeRows
+from cluster.checkpoint import CheckpointError, pack, seal, unpack, unseal
 from cluster.coordinator import Coordinator
-from cluster.events import ShardDone, ShardProgress
+from cluster.events import ShardDone, ShardProgress, ShardReplayed
 from cluster.local import LocalHosts
 from cluster.protocols import RunRows
 from cluster.shard import Execution, Shard
-from jobs.plan import plan_shards
-from jobs.spec_files import load_experiment
-
-
-class Memory:
-    """A sink and a checkpoint store that keep everything."""
-
-    def __init__(self) -> None:
-        self.rows: list[EpisodeRows] = []
-        self.runs: RunRows | None = None
-        self.content: bytes | None = None
-        self.num_checkpoints = 0
-
-    def spill(self, shard: Shard, part: int, rows: Sequence[EpisodeRows]) -> None:
-        self.rows += rows
-
-    def commit(self, shard: Shard, runs: RunRows, num_parts: int, rows: Sequence[EpisodeRows]) -> None:
-        self.runs = runs
-        self.rows += rows
-
-    def read(self, shard: Shard) -> bytes | None:
-        return self.content
-
-    def write(self, shard: Shard, content: bytes) -> None:
-        self.content = content
-        self.num_checkpoints += 1
-
-    def delete(self, shard: Shard) -> None:
-        self.content = None
-
-    def sorted_rows(self) -> list[tuple[Any, ...]]:
-        """All rows by run and episode."""
-        rows = [row for part in self.rows for row in zip(*(column.tolist() for column in part), strict=True)]
-        return sorted(repr(row) for row in rows)  # type: ignore[arg-type]
-
-
-def shard_of(small: Path, *overrides: str, arm: str = "APEL") -> Shard:
-    """All runs of an arm."""
-    return plan_shards(load_experiment(str(small), overrides), 100, [arm], set(), 1)[0]
-
-
-def play(
-    shard: Shard, memory: Memory, execution: Execution | None = None, hosts: LocalHosts | None = None
-) -> ShardDone:
-    """Play a shard to its end."""
-    coordinator = Coordinator(hosts or LocalHosts(), memory, memory, execution or Execution())
-    *progress, done = coordinator.run(shard)
-    assert all(isinstance(event, ShardProgress) for event in progress)
-    assert isinstance(done, ShardDone)
-    return done
-
-
-def with_user_code(fault: str, learner: str = "tests.user_code:Walker") -> tuple[str, ...]:
-    """Overrides that put a user's environment and learner in place."""
-    return (
-        f"environment={{id: 'tests.user_code:Corridor', options: {{fault: '{fault}', episode: 40}}}}",
-        f"learners={{Q: {{type: q_learning}}, W: {{type: '{learner}'}}}}",
-        "arms={APEL: {learners: [Q, W], selector: {type: apel}}}",
-        "variables={}",
-        "stop_when_met=false",
-    )
+from cluster.shard_state import CHECKPOINT_VERSION
+from tests.cluster.shards import FailingHosts, Memory, play, shard_of, with_user_code
 
 
 def test_a_shard_ends_with_its_rows(small: Path) -> None:
@@ -107,7 +49,11 @@ def test_users_code_plays(small: Path) -> None:
 
 FAULTS = {
     "an environment that raises": (with_user_code("raise"), "OSError: the motor is stuck", 40),
-    "a reward that is no number": (with_user_code("nan"), "found the performance nan, expected a finite number", 40),
+    "a reward that is no number": (
+        with_user_code("nan"),
+        "ValueError: step 1: found the reward nan, expected a finite number",
+        40,
+    ),
     "a measure that is no number": (
         (*with_user_code(""), "performance=tests.user_code:no_number"),
         "found the performance inf, expected a finite number",
@@ -162,24 +108,6 @@ def _unbuildable(run: Any) -> Any:
     return type(run)(run.index, run.seed, environment, run.learners, run.variables)
 
 
-class FailingHosts(LocalHosts):
-    """Hosts that are lost after some rounds."""
-
-    def __init__(self, rounds: int) -> None:
-        super().__init__()
-        self.rounds = rounds
-
-    def play(self, orders: Sequence[Sequence[int]]) -> list[Played]:
-        self.rounds -= 1
-        if self.rounds < 0:
-            message = "the hosts are gone"
-            raise ConnectionError(message)
-        return super().play(orders)
-
-    def states(self) -> list[tuple[State, tuple[Any, ...]]]:
-        return super().states()
-
-
 @pytest.mark.parametrize("rounds", [1, 2, 7, 30])
 def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
     """Whenever the hosts are lost, the rows are those of an undisturbed shard."""
@@ -195,23 +123,86 @@ def test_goes_on_from_the_checkpoint(small: Path, rounds: int) -> None:
     assert done.rounds > rounds
 
 
-@pytest.mark.parametrize("damage", ["cut off", "another version", "another shape"])
+DAMAGES = {
+    "cut off": "cut off, or of an older version",
+    "a flipped bit": "found a damaged file",
+    "no seal": "of an older version",
+    "another version": "found the format '0', expected",
+    "another shape": "found a state of another form (ValueError",
+    "another arm's": "found the arm 'SSBAS', expected 'APEL'",
+    "other runs'": "found the runs '0-2', expected '0-5'",
+    "other seeds'": "found the seeds ",
+    "another experiment's": "found the identity ",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_unusable_checkpoint_costs_no_result(small: Path, damage: str) -> None:
-    """A checkpoint that cannot be gone on from is as good as none: the shard is played again."""
+    """A checkpoint that cannot be gone on from is as good as none: the shard is played again, with a word."""
     execution = Execution(streak_episodes=2, checkpoint_seconds=0.0, checkpoint_share=1.0)
     undisturbed, memory = Memory(), Memory()
     play(shard_of(small), undisturbed, execution)
     with pytest.raises(ConnectionError):
         play(shard_of(small), memory, execution, FailingHosts(7))
     assert memory.content is not None
-    tree = unpack(memory.content)
-    if damage == "another version":
-        tree["version"] = 0
-    tree["book"] = tree["book"][:-1] if damage == "another shape" else tree["book"]
-    memory.content = memory.content[:-50] if damage == "cut off" else pack(tree)
+    memory.content = damaged(memory.content, shard_of(small), damage, small)
     memory.rows.clear()
-    play(shard_of(small), memory, Execution(streak_episodes=2))
+    replayed, *progress, done = Coordinator(LocalHosts(), memory, memory, Execution(streak_episodes=2)).run(
+        shard_of(small)
+    )
+    assert isinstance(replayed, ShardReplayed)
+    assert DAMAGES[damage] in replayed.reason
+    assert isinstance(done, ShardDone)
+    assert all(isinstance(event, ShardProgress) for event in progress)
     assert memory.sorted_rows() == undisturbed.sorted_rows()
+
+
+def damaged(content: bytes, shard: Shard, damage: str, small: Path) -> bytes:
+    """A checkpoint of a shard that went through one of `DAMAGES`."""
+    label = {**shard.binding, "format": str(CHECKPOINT_VERSION)}
+    plain = unseal(content, label)
+    run = shard.runs[0]
+    others = {
+        "another arm's": shard_of(small, arm="SSBAS"),
+        "other runs'": Shard(shard.arm, shard.runs[:3]),
+        "other seeds'": Shard(shard.arm, (replace(run, seed=run.seed + 1), *shard.runs[1:])),
+        "another experiment's": shard_of(small, "episodes=81"),
+    }
+    if damage in others:
+        return seal(plain, {**label, **others[damage].binding})
+    if damage == "another shape":
+        tree = unpack(plain)
+        return seal(pack({**tree, "book": tree["book"][:-1]}), label)
+    if damage == "another version":
+        return seal(plain, {**label, "format": "0"})
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 4
+    return {"cut off": content[: len(content) // 2], "a flipped bit": bytes(flipped), "no seal": plain}[damage]
+
+
+def test_lost_parts_cost_no_result(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where rows that were put aside are not there any more as they were, the shard is played again, with a word."""
+
+    class Leaky(Memory):
+        leaks = True
+
+        def commit(self, shard: Shard, runs: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
+            if self.leaks:
+                self.leaks = False
+                self.rows.clear()
+                message = "found a damaged file"
+                raise CheckpointError(message)
+            super().commit(shard, runs, parts, rows)
+
+    whole, memory = Memory(), Leaky()
+    play(shard_of(small), whole)
+    monkeypatch.setattr("cluster.coordinator._MAX_ROWS_IN_MEMORY", 20)
+    events = list(Coordinator(LocalHosts(), memory, memory, Execution(streak_episodes=2)).run(shard_of(small)))
+    assert [event.reason for event in events if isinstance(event, ShardReplayed)] == [
+        "episodes that were put aside do not fit: found a damaged file"
+    ]
+    assert sum(isinstance(event, ShardDone) for event in events) == 1
+    assert memory.sorted_rows() == whole.sorted_rows()
 
 
 def test_users_learner_goes_on_from_the_checkpoint(small: Path) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from cluster.errors import ClusterError
+from jobs.experiment.spec_files import load_experiment
 from jobs.runner import Outcome, Settings, run_experiment
-from jobs.spec_files import load_experiment
 
 SPEC = """
 name: gpus
@@ -35,7 +35,7 @@ def play(folder: Path, *overrides: str, **settings: object) -> Outcome:
 @pytest.mark.ray
 def test_share_reaches_the_actor(ray_session: None, tmp_path: Path) -> None:
     """A learner with ``num_gpus`` sees a GPU, one without sees none, in one arm and in arms that follow each other."""
-    assert play(tmp_path, placement="actors").failures == []
+    assert play(tmp_path, placement="actors", arms=("none", "both")).failures == []
 
 
 @pytest.mark.ray
@@ -62,14 +62,15 @@ def test_no_part_of_the_identity(tmp_path: Path) -> None:
 
 def test_checked_without_a_gpu(tmp_path: Path) -> None:
     """An experiment for GPUs is checked where there is none; a device that nobody has is refused."""
-    from jobs.validation import check
-    from jobs.yaml_source import SpecError
+    from jobs.experiment.plan import Plan
+    from jobs.experiment.validation import check
+    from jobs.experiment.yaml_source import SpecError
 
     path = tmp_path / "gpus.yaml"
     path.write_text(SPEC)
-    check(load_experiment(str(path), ["learners.with={type: dqn, device: 'cuda:3', num_gpus: 1}"]))
+    check(Plan.of(load_experiment(str(path), ["learners.with={type: dqn, device: 'cuda:3', num_gpus: 1}"])))
     votes = "learners={with: {type: dqn, device: cuda}, without: {type: voting, members: [with]}}"
-    check(load_experiment(str(path), [votes]))
+    check(Plan.of(load_experiment(str(path), [votes])))
     for unknown in ("gpu", "cudas", "'cuda:'"):
         with pytest.raises(SpecError, match="device"):
-            check(load_experiment(str(path), [f"learners.with={{type: dqn, device: {unknown}}}"]))
+            check(Plan.of(load_experiment(str(path), [f"learners.with={{type: dqn, device: {unknown}}}"])))

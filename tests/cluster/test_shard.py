@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from apel.configs import EnvironmentConfig, SelectorConfig
 from cluster.errors import RunFailure, grouped
 from cluster.retry import RetryPolicy
-from cluster.shard import ArmPlan, Every, Recording, RunPlan, Shard, recorded_episodes
+from cluster.shard import ArmPlan, Every, RecordingRule, RunPlan, Shard, recorded_episodes
 
 
 @pytest.mark.parametrize(
     ("recording", "expected"),
     [("all", [0, 1, 2, 3, 4, 5, 6]), ("none", []), (Every(3), [0, 3, 6]), ("log", [0, 1, 2, 3, 4, 5, 6])],
 )
-def test_recorded_episodes(recording: Recording, expected: list[int]) -> None:
+def test_recorded_episodes(recording: RecordingRule, expected: list[int]) -> None:
     """All, none, every third; log-spaced ones start densely."""
     assert np.flatnonzero(recorded_episodes(recording, 7)).tolist() == expected
 

@@ -14,7 +14,7 @@ import pytest
 
 from cluster.events import ShardDone, ShardProgress
 from cluster.local import LocalHosts
-from tests.cluster.test_coordinator import Memory, play, shard_of
+from tests.cluster.shards import Memory, play, shard_of
 from tests.soak.faults import all_injectors, deck
 from tests.soak.job import PROJECT
 from tests.soak.pace import Pace, PacedCoordinator, PacedExecution

@@ -14,10 +14,13 @@ import pandas as pd
 import polars as pl
 import pytest
 
-from jobs.cli import main
+from jobs.experiment.spec_files import load_experiment
+from jobs.experiment.yaml_source import SpecError
+from jobs.results.store import ResultStore
 from jobs.runner import Outcome, Settings, run_experiment
-from jobs.spec_files import load_experiment
-from jobs.store import ResultStore
+from tests.command_line import call
+from tests.experiments import write_slow
+from tests.processes import started
 from tests.same_rows import assert_same, folder_of
 
 
@@ -25,6 +28,21 @@ def run(small: Path, results: Path, *overrides: str, **settings: object) -> Outc
     """Run in this process."""
     experiment = load_experiment(str(small), overrides)
     return run_experiment(experiment, Settings(results=str(results), placement="local", **settings))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"placement": "lcal"}, "placement: found 'lcal', expected actors, packed or local; did you mean local?"),
+        ({"shard_size": 0}, "shard_size: found 0, expected a whole number, at least 1"),
+        ({"num_cpus": 1.5}, "num_cpus: found 1.5, expected a whole number, at least 1"),
+    ],
+)
+def test_bad_settings(settings: dict[str, object], expected: str) -> None:
+    """What a script gives is looked at as the command line's options are."""
+    with pytest.raises(SpecError) as caught:
+        Settings(**settings)  # type: ignore[arg-type]
+    assert str(caught.value) == expected
 
 
 def test_second_time_computes_nothing(small: Path, tmp_path: Path) -> None:
@@ -153,9 +171,7 @@ def test_spec_in_the_results_gives_the_same(small: Path, tmp_path: Path) -> None
     assert store.experiment().identity == folder_of(outcome).name
 
 
-def test_failed_run_is_named(
-    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_failed_run_is_named(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A failing run ends in exit code 1 and a line with its seed, learner and episode; the other arms are stored."""
     overrides = [
         "environment={id: 'tests.user_code:Corridor', options: {fault: raise, episode: 10}}",
@@ -164,38 +180,39 @@ def test_failed_run_is_named(
         "variables={}",
         "criterion=null",
     ]
-    command = ["apel", "run", str(small), "--placement", "local", "--results", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", [*command, *(part for override in overrides for part in ("--set", override))])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 1
-    error = capsys.readouterr().err
+    words = [part for override in overrides for part in ("--set", override)]
+    code, error = call(capsys, "run", str(small), "--placement", "local", "--results", str(tmp_path), *words)
+    assert code == 1
     assert "6 run(s) failed: OSError: the motor is stuck at seed 1892932127 (run 0), learner Q, episode 10" in error
     assert "Traceback" not in error
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 130)])
-def test_interrupted(small: Path, tmp_path: Path, name: str, code: int) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     """An interrupted job ends with 130, leaves no process, and the same command completes it."""
-    command = [sys.executable, "-m", "jobs", "run", str(small), "--results", str(tmp_path), "--arms", "Q_full,APEL"]
-    command += ["--set", "episodes=3000", "--set", "stop_when_met=false", "--set", "record=log"]
-    slow = [*command, "--cpus", "2", "--runs", "2000", "--shard-size", "20"]
-    job = subprocess.Popen(slow, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 90
-    while len(list(tmp_path.rglob("parts/*/*.parquet"))) < 3:
-        assert job.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    job.send_signal(getattr(signal, name))
-    _, error = job.communicate(timeout=60)
-    assert job.returncode == code
+    slow = write_slow(tmp_path)
+    command = ["run", "slow.yaml", "--results", "results", "--set", "episodes=20", "--runs", "40", "--shard-size", "1"]
+    here = [sys.executable, "-m", "jobs", *command, "--cpus", "2"]
+    pipe = subprocess.PIPE
+    with started(here, cwd=tmp_path, stdout=pipe, stderr=pipe) as job:
+        deadline = time.monotonic() + 600
+        while len(list(tmp_path.rglob("parts/*/*.parquet"))) < 3:
+            assert job.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        job.send_signal(getattr(signal, name))
+        _, error = job.communicate(timeout=300)
+    assert job.returncode == 130
     assert "interrupted" in error
     assert "Traceback" not in error
     folder = next(tmp_path.rglob("runs.parquet")).parent
-    finished = pd.read_parquet(folder / "runs.parquet")
-    assert 60 <= len(finished) < 4000
-    assert len(pd.read_parquet(folder / "summary.parquet")) >= 1
-    runs = int(finished["run_index"].max()) + 1
-    subprocess.run([*command, "--runs", str(runs), "--placement", "local", "--quiet"], check=True, timeout=120)
-    assert len(pd.read_parquet(folder / "runs.parquet")) == 2 * runs
+    assert 3 <= len(pd.read_parquet(folder / "runs.parquet")) < 40
+    assert len(pd.read_parquet(folder / "summary.parquet")) == 1
+    slow.unlink()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert call(capsys, *command, "--placement", "local", "--quiet") == (0, "")
+    assert len(pd.read_parquet(folder / "runs.parquet")) == 40

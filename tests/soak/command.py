@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import cluster.launch
-import jobs.cli
+import jobs.cli.main
+import jobs.cli.run_commands
 from cluster.events import ShardDone, ShardEvent, ShardProgress, ShardRestarted
 from cluster.shard import Shard
-from jobs.observers import Ending, Observer, Observers
-from jobs.progress import JobProgress
+from jobs.experiment.spec import Experiment
+from jobs.progress.observers import Ending, Observer, Observers
+from jobs.progress.progress import JobProgress
 from jobs.runner import Outcome, Settings, Stopping, run_experiment
-from jobs.spec import Experiment
 from tests.soak.pace import Pace, PacedCoordinator, PacedExecution
 
 
@@ -67,9 +68,9 @@ def main() -> None:
             observers = Observers([observer, EventLog(file)])
             return run_experiment(experiment, replace(settings, execution=execution), observers, stopping)
 
-        jobs.cli.run_experiment = run
+        jobs.cli.run_commands.run_experiment = run
         cluster.launch.Coordinator = PacedCoordinator  # type: ignore[attr-defined]
-        jobs.cli.main()
+        jobs.cli.main.main()
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from tests.soak.job import Job
 from tests.soak.storage_proxy import MODES, StorageProxy
 from tests.soak.three_nodes import ThreeNodes
 
-# A storage's fault of this length is over before the last of the attempts that `cluster.storage.Folder` makes.
+# A storage's fault of this length is over before the last of the attempts that `jobs.results.storage.Folder` makes.
 _SHORTEST_SECONDS, _LONGEST_SECONDS = 0.5, 2.5
 _OUTAGE_SECONDS = 120.0
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from cluster.coordinator import Coordinator
 from cluster.events import ShardProgress
-from cluster.play import Play
 from cluster.shard import Execution, Shard
+from cluster.shard_state import ShardState
 
 
 @dataclass(frozen=True)
@@ -69,20 +69,20 @@ class PacedExecution(Execution):
 class PacedCoordinator(Coordinator):
     """A coordinator that heeds a pace; it is given a `PacedExecution`."""
 
-    def _play_rounds(self, shard: Shard, play: Play) -> Iterator[ShardProgress]:
+    def _play_rounds(self, shard: Shard, state: ShardState) -> Iterator[ShardProgress]:
         assert isinstance(self._execution, PacedExecution)
-        play.orders = PacedOrders(self._execution.pace, shard, play)  # type: ignore[method-assign]
-        return super()._play_rounds(shard, play)
+        state.orders = PacedOrders(self._execution.pace, shard, state)  # type: ignore[method-assign]
+        return super()._play_rounds(shard, state)
 
 
 class PacedOrders:
-    """The orders of a play, each when it is time for it, and without a run that is to keep the episodes it has left.
+    """The orders of a shard, each when it is time for it, and without a run that is to keep the episodes it has left.
 
     Rounds go on while it does, and checkpoints with them: there are processes, and a storage, to be hit.
     """
 
-    def __init__(self, pace: Pace, shard: Shard, play: Play) -> None:
-        self._pace, self._play, self._orders = pace, play, play.orders
+    def __init__(self, pace: Pace, shard: Shard, state: ShardState) -> None:
+        self._pace, self._state, self._orders = pace, state, state.orders
         self._held = {
             position
             for position, run in enumerate(shard.runs)
@@ -91,10 +91,10 @@ class PacedOrders:
         self._due = time.monotonic()
 
     def __call__(self) -> list[list[int]]:
-        """See `Play.orders`."""
+        """See `ShardState.orders`."""
         time.sleep(max(self._due - time.monotonic(), 0.0))
         self._due = time.monotonic() + self._pace.round_seconds
         return [[run for run in order if run not in self._held or self._may_play(run)] for order in self._orders()]
 
     def _may_play(self, run: int) -> bool:
-        return bool(self._play.book.episode[run] < self._play.book.num_episodes - self._pace.num_expected())
+        return bool(self._state.book.episode[run] < self._state.book.num_episodes - self._pace.num_expected())

@@ -21,7 +21,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from cluster.storage import Folder
+from jobs.results.storage import Folder
 from tests.s3_server import NAME, Bucket, bucket
 from tests.same_rows import assert_same
 from tests.soak.faults import FaultError, Injector, all_injectors, deck
@@ -70,7 +70,7 @@ _LAST_POINT = 0.96
 _LEAST_WORK = 1e-6
 # Some faults do not wait until the job has come further, so that they hit it while it recovers from another one.
 _SHARE_OF_SEQUELS, _SEQUEL_SECONDS = 0.25, 4.0
-_STANDSTILL_SECONDS = 180.0
+_STANDSTILL_SECONDS = 400.0
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ def _soak(
             return result
         result.disturbed_seconds = time.monotonic() - job.began
         result.num_sessions, result.num_restarts = job.num_sessions, job.timeline.num_restarts
-        result.problems += [f"waited for a dead driver's claim: {wait}" for wait in job.waits]
+        result.problems += [f"waited for a dead driver's lease: {wait}" for wait in job.waits]
         _account(job, plan, result)
         result.problems += [f"left over in the cluster: {what}" for what in nodes.left_over()]
         _inspect(job, s3, local(), folder / "copy", plan, result)

@@ -5,8 +5,8 @@ left part, 2 above its middle, 3 above its right part, 4 right), where it flies 
 1 up-right, 2 down-right, 3 down-left), and the half of the screen that it is in (0 upper, 1 lower).
 
 Source: the RAM cells of the Atari game are those of AtariARI (Anand et al. 2019, *Unsupervised State Representation
-Learning in Atari*, ``ram_annotations.py``), velocities and offsets were measured; `tests.apel.breakout` compares all of
-them with the pixels.
+Learning in Atari*, ``ram_annotations.py``), velocities and offsets were measured; `tests.apel.environments.breakout`
+compares all of them with the pixels.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""Learners with neural networks: those of all runs of a shard in stacked tensors.
+"""Learners with neural networks.
 
-Nothing outside this package imports PyTorch, and nothing imports this package before a deep learner is asked for by
-name: loading PyTorch takes seconds that a tabular experiment need not spend.
+Perceptrons are computed by compiled loops, each run by itself. Convolutions, and whatever is on a GPU, are PyTorch's,
+with the runs of a shard as rows of one tensor; only `stacked_network` imports it, and only where one is made: loading
+PyTorch takes seconds that others need not spend.
 """
 
-from importlib.util import find_spec
+from apel.numerics import rounding
 
-if find_spec("torch") is None:
-    message = 'deep learners need PyTorch: pip install "apel[deep]"'
-    raise ImportError(message)
+rounding.settle()

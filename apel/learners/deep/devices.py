@@ -1,25 +1,30 @@
-"""Where tensors live."""
+"""Where networks are computed."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-import torch
 from pydantic import Field
+
+from apel.numerics import rounding, threads
 
 LANES = 32
 """How many runs are computed in one call, wherever the number of rows may change the rounding (see `Rows`)."""
 DeviceName = Annotated[str, Field(pattern=r"^(cpu|cuda(:\d+)?)$")]
 
 
-def open_device(name: str) -> torch.device:
-    """The device of that name.
+def open_device(name: str) -> Any:
+    """PyTorch's device of that name, for a learner to compute on; warns if that will not round reproducibly.
 
     Raises
     ------
     ValueError
         If this machine does not have it.
     """
+    import torch
+
+    rounding.warn_if_too_late()
+    threads.settle()
     device = torch.device(name)
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         message = (

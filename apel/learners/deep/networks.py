@@ -1,41 +1,28 @@
-"""Network bodies from options, and the networks of the learners, as functions of flat rows of parameters.
+"""What networks consist of: bodies from options, and the networks of the learners, layer by layer.
 
-The parameters of one run are one row ``float32[P]``, those of R runs a matrix. So they are copied, averaged, stepped
-and stored without knowing what is in them. Every variable begins at a multiple of 64 bytes in its row, so that no
-run's arithmetic depends on where it stands in the matrix.
+Nothing here computes. Perceptrons on the processor are computed by compiled loops (`compiled_network`), convolutions
+and whatever is on a GPU by PyTorch (`stacked_network`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
-import torch
-from pydantic.dataclasses import dataclass
-from torch import Tensor
+from pydantic.dataclasses import dataclass as options_class
 
-from apel.learners.deep.layers import (
-    Chain,
-    Convolution,
-    Elementwise,
-    Initialiser,
-    Layer,
-    Linear,
-    Variable,
-    fan_in_uniform,
-    glorot,
-    orthogonal,
-)
+from apel.learners.deep.initialisers import Initialiser, Shape, fan_in_uniform, glorot, orthogonal, side_by_side, zeros
 from apel.learners.deep.options import Width
-from apel.learners.q_learning import OPTIONS_CONFIG
+from apel.learners.tabular.q_learning import OPTIONS_CONFIG
 
-_ALIGNMENT = 16
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu}
+Activation = Literal["linear", "tanh", "relu"]
+INPUT = -1
 _WEIGHTS: dict[str, Initialiser] = {"orthogonal": orthogonal(math.sqrt(2.0)), "glorot": glorot}
 
 
-@dataclass(frozen=True, config=OPTIONS_CONFIG)
+@options_class(frozen=True, config=OPTIONS_CONFIG)
 class NetworkOptions:
     """The body of a network: convolutions over images, then dense layers.
 
@@ -44,7 +31,12 @@ class NetworkOptions:
     hidden:
         Units of each dense layer.
     convolutions:
-        ``(filters, kernel, stride)`` of each; for observations ``[channels, height, width]`` alone.
+        ``(filters, kernel, stride)`` of each; for observations ``[channels, height, width]`` alone, unless ``layout``
+        says otherwise.
+    layout:
+        Where the channels of an image are: ``channels_first``, or ``channels_last`` for ``[height, width, channels]``,
+        which are turned round first. None takes images with the channels first, and refuses those that do not look like
+        it: whose last axis is the shortest.
     padding:
         Of the convolutions.
     activation:
@@ -56,167 +48,212 @@ class NetworkOptions:
 
     hidden: tuple[Width, ...] = (64, 64)
     convolutions: tuple[tuple[Width, Width, Width], ...] = ()
+    layout: Literal["channels_first", "channels_last"] | None = None
     padding: Literal["same", "valid"] = "valid"
     activation: Literal["tanh", "relu"] = "tanh"
     initialisation: Literal["orthogonal", "glorot", "pytorch"] = "orthogonal"
 
-    def linear(self, inputs: int, outputs: int) -> Linear:
-        """A dense layer, initialised so."""
-        if self.initialisation == "pytorch":
-            return Linear(inputs, outputs, fan_in_uniform(inputs), fan_in_uniform(inputs))
-        return Linear(inputs, outputs, _WEIGHTS[self.initialisation])
+
+@dataclass(frozen=True)
+class Dense:
+    """``activation(x W + b)`` of the input, or of an earlier layer (`source`), all of it in a row.
+
+    As a head it writes its outputs from `column` on.
+    """
+
+    source: int
+    inputs: int
+    outputs: int
+    activation: Activation
+    weight: Initialiser
+    bias: Initialiser = zeros
+    column: int | None = None
+
+    @property
+    def variables(self) -> list[tuple[Shape, Initialiser]]:
+        """Weight and bias."""
+        return [((self.inputs, self.outputs), self.weight), ((self.outputs,), self.bias)]
 
 
-def make_body(shape: Sequence[int], options: NetworkOptions) -> tuple[Chain, int]:
-    """The body for observations of this shape, and its number of outputs.
+@dataclass(frozen=True)
+class Convolution:
+    """A convolution with ReLU of an image ``[channels, height, width]``: the input's, or an earlier layer's.
+
+    ``same`` padding is TensorFlow's: as many outputs as inputs divided by the stride, rounded up.
+    """
+
+    source: int
+    image: tuple[int, int, int]
+    filters: int
+    kernel: int
+    stride: int
+    is_padded: bool
+    weight: Initialiser
+
+    @property
+    def variables(self) -> list[tuple[Shape, Initialiser]]:
+        """Weight and bias."""
+        return [((self.filters, self.image[0], self.kernel, self.kernel), self.weight), ((self.filters,), zeros)]
+
+    @property
+    def result(self) -> tuple[int, int, int]:
+        """Channels, height and width after it."""
+        return self.filters, self._size(self.image[1]), self._size(self.image[2])
+
+    def _size(self, size: int) -> int:
+        return -(-size // self.stride) if self.is_padded else (size - self.kernel) // self.stride + 1
+
+    def margins(self, size: int) -> tuple[int, int]:
+        """What is put before and behind a height or width."""
+        total = max((self._size(size) - 1) * self.stride + self.kernel - size, 0) if self.is_padded else 0
+        return total // 2, total - total // 2
+
+
+Layer = Dense | Convolution
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """A network.
+
+    Attributes
+    ----------
+    shape:
+        Of an input.
+    layers:
+        In an order in which they can be computed.
+    num_outputs:
+        Columns of the outputs.
+    dueling:
+        The last layer is V(s), the head before it A(s, ·), and the outputs are V + A − mean A (Wang et al. 2016, Eq.
+        9).
+    channels_last:
+        Images are turned round first.
+    """
+
+    shape: tuple[int, ...]
+    layers: tuple[Layer, ...]
+    num_outputs: int
+    dueling: bool = False
+    channels_last: bool = False
+
+    @property
+    def is_perceptron(self) -> bool:
+        """Whether all layers are dense."""
+        return all(isinstance(layer, Dense) for layer in self.layers)
+
+
+def q_network(
+    shape: Sequence[int], num_actions: int, options: NetworkOptions, head: Sequence[int] = (), *, dueling: bool = False
+) -> Architecture:
+    """Q(s, ·) of one body and a head, or, with ``dueling``, two of them.
 
     Raises
     ------
     ValueError
-        If the options do not fit the shape.
+        If the options do not fit the shape; so of the other networks.
     """
+    layers, width = _body([], shape, options)
+    body = len(layers) - 1
+    _add_head(layers, body, width, head, num_actions, options, 0)
+    if dueling:
+        _add_head(layers, body, width, head, 1, options, num_actions)
+    return _architecture(shape, layers, num_actions, options, dueling=dueling)
+
+
+def actor_critic(shape: Sequence[int], num_actions: int, options: NetworkOptions) -> Architecture:
+    """The logits of a policy, and Q(s, ·): two linear heads of one body, side by side in one layer."""
+    layers, width = _body([], shape, options)
+    one = _dense(options, len(layers) - 1, width, num_actions, "linear")
+    weight, bias = side_by_side(one.weight), side_by_side(one.bias)
+    layers.append(Dense(one.source, width, 2 * num_actions, "linear", weight, bias, 0))
+    return _architecture(shape, layers, 2 * num_actions, options)
+
+
+def twin_q(shape: Sequence[int], num_actions: int, options: NetworkOptions) -> Architecture:
+    """Two networks Q(s, ·) side by side, of which the smaller value counts (Fujimoto, van Hoof & Meger 2018)."""
     layers: list[Layer] = []
+    for column in (0, num_actions):
+        layers, width = _body(layers, shape, options)
+        source = len(layers) - 1 if options.hidden or options.convolutions else INPUT
+        layers.append(_dense(options, source, width, num_actions, "linear", column))
+    return _architecture(shape, layers, 2 * num_actions, options)
+
+
+def _architecture(
+    shape: Sequence[int], layers: Sequence[Layer], outputs: int, options: NetworkOptions, *, dueling: bool = False
+) -> Architecture:
+    turned = bool(options.convolutions) and options.layout == "channels_last"
+    return Architecture(tuple(shape), tuple(layers), outputs, dueling, turned)
+
+
+def _body(layers: list[Layer], shape: Sequence[int], options: NetworkOptions) -> tuple[list[Layer], int]:
+    """The layers with those of a body, and how many numbers come out."""
+    layers, source = list(layers), INPUT
     if options.convolutions:
         shape = _add_convolutions(layers, shape, options)
-    if len(shape) != 1:
-        layers.append(Elementwise(lambda x: x.flatten(2)))
-    inputs = math.prod(shape)
+        source = len(layers) - 1
+    width = math.prod(shape)
     for units in options.hidden:
-        layers += [options.linear(inputs, units), Elementwise(_ACTIVATIONS[options.activation])]
-        inputs = units
-    return Chain(layers), inputs
+        layers.append(_dense(options, source, width, units, options.activation))
+        width, source = units, len(layers) - 1
+    return layers, width
+
+
+def _dense(
+    options: NetworkOptions, source: int, inputs: int, outputs: int, activation: Activation, column: int | None = None
+) -> Dense:
+    if options.initialisation == "pytorch":
+        uniform = fan_in_uniform(inputs)
+        return Dense(source, inputs, outputs, activation, uniform, uniform, column)
+    return Dense(source, inputs, outputs, activation, _WEIGHTS[options.initialisation], zeros, column)
+
+
+def _add_head(
+    layers: list[Layer],
+    source: int,
+    width: int,
+    hidden: Sequence[int],
+    outputs: int,
+    options: NetworkOptions,
+    column: int,
+) -> None:
+    """ReLU layers and a linear one, initialised as Baselines' heads are."""
+    sizes: list[tuple[int, Activation, int | None]] = [(units, "relu", None) for units in hidden]
+    for units, activation, place in [*sizes, (outputs, "linear", column)]:
+        layer = _dense(options, source, width, units, activation, place)
+        if options.initialisation != "pytorch":
+            layer = Dense(source, width, units, activation, glorot, zeros, place)
+        layers.append(layer)
+        source, width = len(layers) - 1, units
 
 
 def _add_convolutions(layers: list[Layer], shape: Sequence[int], options: NetworkOptions) -> tuple[int, int, int]:
     if len(shape) != 3:
         message = f"convolutions: found observations of shape {tuple(shape)}, expected [channels, height, width]"
         raise ValueError(message)
-    channels, height, width = shape
-    for filters, kernel, stride in options.convolutions:
-        layer = Convolution(
-            channels, filters, kernel, stride, options.padding, _image_weights(options, channels, kernel)
+    if options.layout is None and shape[2] < min(shape[:2]):
+        message = (
+            f"convolutions: found observations of shape {tuple(shape)}, whose channels seem to come last, expected "
+            "[channels, height, width]; with layout: channels_last they are turned round, with layout: channels_first "
+            "they are taken as they are"
         )
-        channels, height, width = filters, layer.output_size(height), layer.output_size(width)
-        if min(height, width) < 1:
-            message = f"convolutions: found {options.convolutions}, expected kernels that fit into {tuple(shape)}"
+        raise ValueError(message)
+    channels, height, width = shape
+    image = (width, channels, height) if options.layout == "channels_last" else (channels, height, width)
+    given, source = image, INPUT
+    for filters, kernel, stride in options.convolutions:
+        weight = _image_weights(options, image[0], kernel)
+        layer = Convolution(source, image, filters, kernel, stride, options.padding == "same", weight)
+        layers.append(layer)
+        image, source = layer.result, len(layers) - 1
+        if min(image) < 1:
+            message = f"convolutions: found {options.convolutions}, expected kernels that fit into {given}"
             raise ValueError(message)
-        layers += [layer, Elementwise(torch.relu)]
-    return channels, height, width
+    return image
 
 
 def _image_weights(options: NetworkOptions, channels: int, kernel: int) -> Initialiser:
     if options.initialisation == "pytorch":
         return fan_in_uniform(channels * kernel * kernel)
     return _WEIGHTS[options.initialisation]
-
-
-class Layout:
-    """Where the variables of a network lie in a row of parameters.
-
-    Attributes
-    ----------
-    sizes:
-        Elements that each variable takes up, its padding included; their sum is the length of a row.
-    """
-
-    def __init__(self, variables: Sequence[Variable]) -> None:
-        self._variables = variables
-        self._counts = [math.prod(variable.shape) for variable in variables]
-        self.sizes = [-(-count // _ALIGNMENT) * _ALIGNMENT for count in self._counts]
-
-    def initial_row(self, generator: torch.Generator) -> Tensor:
-        """``float32[P]``: fresh parameters; the padding is zero."""
-        row = torch.zeros(1, sum(self.sizes))
-        for variable, tensor in zip(self._variables, self.unpack(row), strict=True):
-            variable.initialise(tensor[0], generator)
-        return row[0]
-
-    def unpack(self, rows: Tensor) -> list[Tensor]:
-        """``float32[A, …]``: each variable of A rows, as views."""
-        parts = zip(torch.split(rows, self.sizes, 1), self._counts, self._variables, strict=True)
-        return [part[:, :count].view(len(rows), *variable.shape) for part, count, variable in parts]
-
-
-class QNetwork:
-    """Q(s, ·) of one body; with ``dueling`` as V(s) + A(s, ·) − mean A(s, ·) (Wang et al. 2016, Eq. 9).
-
-    Attributes
-    ----------
-    layout:
-        Of its parameters.
-    """
-
-    def __init__(
-        self, shape: Sequence[int], num_actions: int, options: NetworkOptions, head: Sequence[int], *, dueling: bool
-    ) -> None:
-        self._body, width = make_body(shape, options)
-        self._advantage = _head(width, head, num_actions, options)
-        self._value = _head(width, head, 1, options) if dueling else None
-        value = self._value.variables if self._value else ()
-        self.layout = Layout([*self._body.variables, *self._advantage.variables, *value])
-
-    def __call__(self, rows: Tensor, x: Tensor) -> Tensor:
-        """``float32[A, B, actions]`` of parameters ``[A, P]`` and observations ``[A, B, …]``."""
-        weights: Iterator[Tensor] = iter(self.layout.unpack(rows))
-        features = self._body(weights, x)
-        advantage = self._advantage(weights, features)
-        if self._value is None:
-            return advantage
-        return self._value(weights, features) + advantage - advantage.mean(-1, keepdim=True)
-
-
-def _head(inputs: int, hidden: Sequence[int], outputs: int, options: NetworkOptions) -> Chain:
-    """ReLU layers and a linear one, initialised as Baselines' heads are."""
-    layers: list[Layer] = []
-    for units in hidden:
-        layers += [_head_linear(inputs, units, options), Elementwise(torch.relu)]
-        inputs = units
-    return Chain([*layers, _head_linear(inputs, outputs, options)])
-
-
-def _head_linear(inputs: int, outputs: int, options: NetworkOptions) -> Linear:
-    if options.initialisation == "pytorch":
-        return options.linear(inputs, outputs)
-    return Linear(inputs, outputs, glorot)
-
-
-class ActorCritic:
-    """The logits of a policy and Q(s, ·), two linear heads of one body.
-
-    Attributes
-    ----------
-    layout:
-        Of its parameters.
-    """
-
-    def __init__(self, shape: Sequence[int], num_actions: int, options: NetworkOptions) -> None:
-        self._body, width = make_body(shape, options)
-        self._policy = options.linear(width, num_actions)
-        self._values = options.linear(width, num_actions)
-        self.layout = Layout([*self._body.variables, *self._policy.variables, *self._values.variables])
-
-    def __call__(self, rows: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits and Q, ``float32[A, B, actions]`` each, of parameters ``[A, P]`` and observations ``[A, B, …]``."""
-        weights: Iterator[Tensor] = iter(self.layout.unpack(rows))
-        features = self._body(weights, x)
-        return self._policy(weights, features), self._values(weights, features)
-
-
-class TwinQ:
-    """Two networks Q(s, ·) side by side, of which the smaller value counts (Fujimoto, van Hoof & Meger 2018).
-
-    Attributes
-    ----------
-    layout:
-        Of its parameters.
-    """
-
-    def __init__(self, shape: Sequence[int], num_actions: int, options: NetworkOptions) -> None:
-        bodies = [make_body(shape, options) for _ in range(2)]
-        self._critics = [Chain([body, options.linear(width, num_actions)]) for body, width in bodies]
-        self.layout = Layout([variable for critic in self._critics for variable in critic.variables])
-
-    def __call__(self, rows: Tensor, x: Tensor) -> Tensor:
-        """``float32[2, A, B, actions]`` of parameters ``[A, P]`` and observations ``[A, B, …]``."""
-        weights: Iterator[Tensor] = iter(self.layout.unpack(rows))
-        return torch.stack([critic(weights, x) for critic in self._critics])

@@ -1,178 +1,77 @@
-"""Parameters and optimisers of many runs' networks, row by row."""
+"""Where the variables of a network lie in a row of parameters, and what they are at first.
+
+The parameters of one run are one row ``float32[P]``, those of R runs a matrix. So they are copied, averaged, stepped
+and stored without knowing what is in them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from apel.batched import Runs
-from apel.learners.base import State
-from apel.learners.deep.networks import Layout
+from apel.learners.deep.networks import Architecture, Dense
+from apel.learners.deep.products import LANES, aligned
 
-
-def initial_rows(layout: Layout, seeds: Sequence[int], device: torch.device) -> Tensor:
-    """``float32[R, P]``: fresh parameters of each run, from its 64-bit seed alone."""
-    # PyTorch's generator heeds 32 bits of its seed; these depend on all 64.
-    words = [int(np.random.SeedSequence(seed).generate_state(1)[0]) for seed in seeds]
-    rows = [layout.initial_row(torch.Generator().manual_seed(word)) for word in words]
-    return torch.stack(rows).to(device)
+_MAX_PARAMETERS = 10_000_000
+"""Six times those of the network for Atari (Mnih et al. 2015)."""
 
 
-class Rows:
-    """Chosen rows of matrices with one row per run.
+class Layout:
+    """Where the variables of a network lie in a row of parameters.
 
-    On the CPU what a run's row gives does not depend on the other rows that are chosen (tests hold that, bit for bit).
-    Elsewhere a library may choose its algorithm by the number of rows; there all calls have one shape, of so many
-    lanes: more runs come in several calls, and fewer are filled up with copies of the first.
+    The outputs of dense layers are filled up to whole vectors, with weights that are zero and stay so; and every
+    variable begins at a multiple of 64 bytes.
+
+    Attributes
+    ----------
+    begin:
+        Where each variable begins.
+    size:
+        The length of a row.
+
+    Raises
+    ------
+    ValueError
+        If there are so many that the memory of a machine is soon full: each run has some copies of all of them.
     """
 
-    def __init__(self, num_runs: int, device: torch.device, lanes: int) -> None:
-        self.device = device
-        self._num_runs = num_runs
-        self._lanes = None if device.type == "cpu" else lanes
+    def __init__(self, architecture: Architecture) -> None:
+        self._architecture = architecture
+        self._stored, self.begin, self.size = list[tuple[int, ...]](), list[int](), 0
+        for layer in architecture.layers:
+            for shape, _ in layer.variables:
+                stored = (*shape[:-1], _filled(shape[-1])) if isinstance(layer, Dense) else tuple(shape)
+                self._stored.append(stored)
+                self.begin.append(self.size)
+                self.size += _filled(math.prod(stored))
+        count = sum(math.prod(shape) for layer in architecture.layers for shape, _ in layer.variables)
+        if count > _MAX_PARAMETERS:
+            message = f"network: found {count:,} parameters, expected at most {_MAX_PARAMETERS:,}"
+            raise ValueError(message)
 
-    def calls(self, runs: Runs) -> list[Runs]:
-        """The runs of each call."""
-        if self._lanes is None:
-            return [runs] if len(runs) else []
-        return [runs[i : i + self._lanes] for i in range(0, len(runs), self._lanes)]
+    def initial_rows(self, seeds: Sequence[int]) -> NDArray[np.float32]:
+        """``float32[R, P]``: fresh parameters of each run, from its 64-bit seed alone."""
+        rows = aligned(len(seeds), self.size)
+        for row, seed in zip(rows, seeds, strict=True):
+            generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+            initial = [(shape, one) for layer in self._architecture.layers for shape, one in layer.variables]
+            for (shape, initialise), variable in zip(initial, self.unpack(row[None]), strict=True):
+                variable[0] = initialise(shape, generator)
+        return rows
 
-    def of(self, matrix: Tensor, runs: Runs) -> Tensor:
-        """``[A or lanes, P]``: the chosen rows; the matrix itself where all are chosen."""
-        chosen = self._filled(runs)
-        if len(runs) == len(chosen) == self._num_runs:
-            return matrix
-        return matrix[torch.from_numpy(chosen).to(self.device)]
-
-    def tensor(self, array: NDArray[Any]) -> Tensor:
-        """An array with a row for each chosen run, in the same order, on the device."""
-        return torch.from_numpy(self._filled(array)).to(self.device)
-
-    def forward(
-        self, network: Callable[[Runs, Tensor], Tensor], runs: Runs, inputs: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """``[A, outputs]``: what a network makes of one input for each run, ``[A, …]``."""
-        outputs, start = [], 0
-        with torch.no_grad():
-            for one_call in self.calls(runs):
-                batch = self.tensor(inputs[start : start + len(one_call), None])
-                outputs.append(network(one_call, batch)[: len(one_call), 0].cpu().numpy())
-                start += len(one_call)
-        return np.concatenate(outputs)
-
-    def write(self, matrix: Tensor, runs: Runs, values: Tensor) -> None:
-        """Set the chosen rows to ``values`` ``[A or lanes, P]``."""
-        matrix[torch.from_numpy(runs).to(self.device)] = values[: len(runs)]
-
-    def copy(self, matrix: Tensor, other: Tensor, runs: Runs) -> None:
-        """Set the chosen rows to those of another matrix."""
-        chosen = torch.from_numpy(runs).to(self.device)
-        matrix[chosen] = other[chosen]
-
-    def _filled(self, array: NDArray[Any]) -> NDArray[Any]:
-        missing = 0 if self._lanes is None else self._lanes - len(array)
-        return np.concatenate([array, np.repeat(array[:1], missing, axis=0)]) if missing else array
-
-    def array(self, matrix: Tensor | None) -> NDArray[np.float32] | None:
-        """A matrix as a checkpoint holds it."""
-        return None if matrix is None else matrix.cpu().numpy().copy()
-
-    def matrix(self, array: NDArray[np.float32] | None) -> Tensor | None:
-        """The matrix that `array` stored."""
-        return None if array is None else torch.from_numpy(np.array(array)).to(self.device)
-
-    def restore(self, matrix: Tensor, array: NDArray[np.float32]) -> None:
-        """Write what `array` stored into a matrix that others hold views of."""
-        matrix.copy_(torch.from_numpy(np.array(array)))
+    def unpack(self, rows: Any) -> list[Any]:
+        """``[A, …]``: each variable of A rows, NumPy's or PyTorch's, as views without what they are filled up with."""
+        parts, shapes = (
+            zip(self.begin, self._stored, strict=True),
+            [shape for layer in self._architecture.layers for shape, _ in layer.variables],
+        )
+        views = [rows[:, at : at + math.prod(stored)].reshape(len(rows), *stored) for at, stored in parts]
+        return [view[..., : shape[-1]] for view, shape in zip(views, shapes, strict=True)]
 
 
-class FrozenRows:
-    """The rows that runs act on: their own, or what those were when the run was frozen last."""
-
-    def __init__(self, rows: Rows, num_runs: int) -> None:
-        self._rows = rows
-        self._matrix: Tensor | None = None
-        self._is_frozen = np.zeros(num_runs, dtype=np.bool_)
-
-    def freeze(self, online: Tensor, runs: Runs) -> None:
-        """Keep the chosen rows of ``online`` ``[R, P]`` as they are now."""
-        if self._matrix is None:
-            self._matrix = torch.zeros_like(online)
-        self._rows.copy(self._matrix, online, runs)
-        self._is_frozen[runs] = True
-
-    def of(self, online: Tensor, runs: Runs) -> Tensor:
-        """``[A or lanes, P]``: what the chosen runs act on."""
-        own = self._rows.of(online, runs)
-        if self._matrix is None:
-            return own
-        is_frozen = self._rows.tensor(self._is_frozen[runs]).unsqueeze(1)
-        return torch.where(is_frozen, self._rows.of(self._matrix, runs), own)
-
-    def state(self) -> State:
-        """The rows that are frozen."""
-        return {"matrix": self._rows.array(self._matrix), "is_frozen": self._is_frozen.copy()}
-
-    def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
-        self._matrix = self._rows.matrix(state["matrix"])
-        self._is_frozen = np.array(state["is_frozen"])
-
-
-def clip_each_variable(gradients: Tensor, layout: Layout, max_norm: float) -> Tensor:
-    """Scale the gradient of each variable of each row to a norm of at most ``max_norm`` (TensorFlow's
-    ``clip_by_norm``, as OpenAI Baselines uses it); ``gradients`` ``[A, P]`` is changed in place.
-    """
-    parts = torch.split(gradients, layout.sizes, 1)
-    norms = torch.stack([torch.linalg.vector_norm(part, dim=1) for part in parts], 1)
-    scales = max_norm / norms.clamp(min=max_norm)
-    for i, part in enumerate(parts):
-        part.mul_(scales[:, i : i + 1])
-    return gradients
-
-
-def clip_each_row(gradients: Tensor, max_norm: float) -> Tensor:
-    """Scale each row ``[A, P]``, all variables of a run together, to a norm of at most ``max_norm``, in place."""
-    norms = torch.linalg.vector_norm(gradients, dim=1, keepdim=True)
-    return gradients.mul_(max_norm / norms.clamp(min=max_norm))
-
-
-class RowAdam:
-    """Adam (Kingma & Ba 2015) with a clock and moments of its own for every row of ``rows`` ``[R, P]``."""
-
-    def __init__(self, rows: Tensor, learning_rate: float, epsilon: float) -> None:
-        self._parameters = [torch.nn.Parameter(row) for row in rows]
-        self._adam = torch.optim.Adam(self._parameters, lr=learning_rate, eps=epsilon, fused=True)
-
-    def step(self, runs: Runs, gradients: Tensor) -> None:
-        """Descend in the rows of ``runs``, with ``gradients`` ``[A or lanes, P]``."""
-        chosen = [self._parameters[run] for run in runs.tolist()]
-        for parameter, gradient in zip(chosen, gradients, strict=False):
-            parameter.grad = gradient
-        self._adam.step()
-        for parameter in chosen:
-            parameter.grad = None
-
-    def state(self) -> State:
-        """Clocks and moments."""
-        states = [self._adam.state[parameter] or _no_moments(parameter) for parameter in self._parameters]
-        return {name: torch.stack([one[name] for one in states]).cpu().numpy() for name in _no_moments(torch.zeros(1))}
-
-    def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
-        for i, parameter in enumerate(self._parameters):
-            stored = {name: torch.from_numpy(np.array(values[i])) for name, values in state.items()}
-            self._adam.state[parameter] = {name: value.to(parameter.device) for name, value in stored.items()}
-
-
-def _no_moments(parameter: Tensor) -> dict[str, Tensor]:
-    return {
-        "step": torch.zeros((), dtype=torch.float32),
-        "exp_avg": torch.zeros_like(parameter),
-        "exp_avg_sq": torch.zeros_like(parameter),
-    }
+def _filled(count: int) -> int:
+    return -(-count // LANES) * LANES

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
-from apel.batched import Runs
-from apel.compiled import njit
 from apel.learners.base import State
-from apel.learners.deep.draws import Streams
+from apel.learners.deep.arithmetic import real_power
 from apel.learners.deep.options import NonNegative, Positive, Share
-from apel.learners.q_learning import OPTIONS_CONFIG
-from apel.streams import uniform
+from apel.learners.tabular.q_learning import OPTIONS_CONFIG
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, uniform
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -34,114 +35,165 @@ class PriorityOptions:
     epsilon: Positive = 1e-6
 
 
-class Priorities:
-    """The priorities of the transitions of R runs: two binary trees each, of sums and of minima.
+class Trees(NamedTuple):
+    """The priorities of the transitions of R runs: two binary trees each, of sums and of minima; none where R is 0.
 
     Leaf i stands at ``leaves + i``; node i has the children 2 i and 2 i + 1, the root is node 1.
     """
 
-    def __init__(self, num_runs: int, capacity: int, options: PriorityOptions) -> None:
-        self._options = options
-        self._leaves = 1 << max(capacity - 1, 1).bit_length()
-        self._sums = np.zeros((num_runs, 2 * self._leaves))
-        self._minima = np.full((num_runs, 2 * self._leaves), np.inf)
-        self._largest = np.ones(num_runs)
-
-    def add(self, runs: Runs, slots: NDArray[np.int64]) -> None:
-        """Give one new transition of each run the largest priority there has been, so that it is drawn soon."""
-        self._set(runs, slots[:, None], self._largest[runs][:, None])
-
-    def draw(
-        self, runs: Runs, size: NDArray[np.int64], batch_size: int, correction: NDArray[np.float64], streams: Streams
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Slots ``int64[A, B]``, one from each of B equal shares of the mass, and importance weights ``float32[A, B]``.
-
-        The weights are (N p)⁻ᵝ over the largest that any transition of the run has, with β = ``correction`` ``[A]``.
-        """
-        slots = np.empty((len(runs), batch_size), dtype=np.int64)
-        weights = np.empty((len(runs), batch_size))
-        _draw(self._sums, self._minima, self._leaves, runs, size, correction, streams, slots, weights)
-        return slots, weights.astype(np.float32)
-
-    def update(self, runs: Runs, slots: NDArray[np.int64], errors: NDArray[np.float32]) -> None:
-        """New priorities |error| + ε, both arrays ``[A, B]``."""
-        priorities = np.abs(errors).astype(np.float64) + self._options.epsilon
-        self._set(runs, slots, priorities)
-        self._largest[runs] = np.maximum(self._largest[runs], priorities.max(axis=1))
-
-    def correction(self, progress: NDArray[np.float64]) -> NDArray[np.float64]:
-        """β after the share ``progress`` ``[A]`` of the learner's steps."""
-        start = self._options.correction
-        return start + (1.0 - start) * np.minimum(progress, 1.0)
-
-    def state(self) -> State:
-        """The leaves, and the largest priorities."""
-        return {"masses": self._sums[:, self._leaves :].copy(), "largest": self._largest.copy()}
-
-    def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
-        self._largest = np.array(state["largest"])
-        masses = state["masses"]
-        self._sums[:, self._leaves :] = masses
-        self._minima[:, self._leaves :] = np.where(masses > 0, masses, np.inf)
-        _rebuild(self._sums, self._minima, self._leaves)
-
-    def _set(self, runs: Runs, slots: NDArray[np.int64], priorities: NDArray[np.float64]) -> None:
-        _set(self._sums, self._minima, self._leaves, runs, slots, priorities**self._options.exponent)
+    sums: NDArray[np.float64]
+    """``[R, 2 · leaves]``."""
+    minima: NDArray[np.float64]
+    largest: NDArray[np.float64]
+    """``[R]``: the largest priority that there has been."""
+    own: NDArray[np.float64]
+    """``[R, 2 · leaves]``: the sums of what is own, with leaves of 0 elsewhere; no rows where nobody asks."""
+    exponent: float
+    correction: float
+    epsilon: float
 
 
 @njit
-def _set(
-    sums: NDArray[np.float64],
-    minima: NDArray[np.float64],
-    leaves: int,
-    runs: Runs,
+def welcome(trees: Trees, run: int, slot: int, is_own: bool) -> None:
+    """Give a new transition the largest priority there has been, so that it is drawn soon."""
+    _set(trees, run, slot, trees.largest[run], is_own)
+
+
+@njit
+def draw_by_priority(
+    trees: Trees,
+    run: int,
+    size: int,
+    progress: float,
+    part: int,
+    stream: Stream,
     slots: NDArray[np.int64],
-    masses: NDArray[np.float64],
+    weights: NDArray[np.float32],
 ) -> None:
-    for i in range(runs.shape[0]):
-        total, least = sums[runs[i]], minima[runs[i]]
-        for j in range(slots.shape[1]):
-            node = leaves + slots[i, j]
-            total[node] = least[node] = masses[i, j]
-            node //= 2
-            while node > 0:
-                total[node] = total[2 * node] + total[2 * node + 1]
-                least[node] = min(least[2 * node], least[2 * node + 1])
-                node //= 2
+    """Write ``slots`` ``[B]``, and importance ``weights`` ``[B]``: the first ``part`` from what is own, one from each
+    of so many equal shares of its mass, the others from all in the same way.
+
+    The weights are (N p)⁻ᵝ over the largest that any transition of the run has, with β after the share ``progress`` of
+    the learner's steps and p as if all were drawn from all: they correct what priorities change among those of a part,
+    and leave the share as it is asked for.
+    """
+    least = trees.minima[run, 1]
+    correction = trees.correction + (1.0 - trees.correction) * min(progress, 1.0)
+    part = part if part > 0 and trees.own[run, 1] > 0.0 else 0
+    if part > 0:
+        _draw_from(trees.own[run], least, correction, size, stream, slots[:part], weights[:part])
+    _draw_from(trees.sums[run], least, correction, size, stream, slots[part:], weights[part:])
 
 
 @njit
-def _rebuild(sums: NDArray[np.float64], minima: NDArray[np.float64], leaves: int) -> None:
+def _draw_from(
+    total: NDArray[np.float64],
+    least: float,
+    correction: float,
+    size: int,
+    stream: Stream,
+    slots: NDArray[np.int64],
+    weights: NDArray[np.float32],
+) -> None:
+    batch_size, leaves = slots.shape[0], total.shape[0] // 2
+    for j in range(batch_size):
+        mass = (j + uniform(stream)) / batch_size * total[1]
+        node = 1
+        while node < leaves:
+            node *= 2
+            # The right half may be empty where rounding has left a little mass over.
+            if mass >= total[node] and total[node + 1] > 0.0:
+                mass -= total[node]
+                node += 1
+        slots[j] = min(node - leaves, size - 1)
+        weights[j] = real_power(least / total[node], correction)
+
+
+@njit
+def reconsider(trees: Trees, run: int, slots: NDArray[np.int64], errors: NDArray[np.float32]) -> None:
+    """New priorities |error| + ε, both arrays ``[B]``."""
+    for j in range(slots.shape[0]):
+        priority = abs(np.float64(errors[j])) + trees.epsilon
+        is_own = trees.own.shape[0] > 0 and trees.own[run, trees.own.shape[1] // 2 + slots[j]] > 0.0
+        _set(trees, run, slots[j], priority, is_own)
+        trees.largest[run] = max(trees.largest[run], priority)
+
+
+@njit
+def _set(trees: Trees, run: int, slot: int, priority: float, is_own: bool) -> None:
+    total, least = trees.sums[run], trees.minima[run]
+    node = total.shape[0] // 2 + slot
+    total[node] = least[node] = real_power(priority, trees.exponent)
+    if trees.own.shape[0] > 0:
+        _set_sum(trees.own[run], node, total[node] if is_own else 0.0)
+    node //= 2
+    while node > 0:
+        total[node] = total[2 * node] + total[2 * node + 1]
+        least[node] = min(least[2 * node], least[2 * node + 1])
+        node //= 2
+
+
+@njit
+def _set_sum(total: NDArray[np.float64], node: int, mass: float) -> None:
+    total[node] = mass
+    node //= 2
+    while node > 0:
+        total[node] = total[2 * node] + total[2 * node + 1]
+        node //= 2
+
+
+@njit
+def _rebuild(sums: NDArray[np.float64], minima: NDArray[np.float64]) -> None:
     for run in range(sums.shape[0]):
-        for node in range(leaves - 1, 0, -1):
+        for node in range(sums.shape[1] // 2 - 1, 0, -1):
             sums[run, node] = sums[run, 2 * node] + sums[run, 2 * node + 1]
             minima[run, node] = min(minima[run, 2 * node], minima[run, 2 * node + 1])
 
 
 @njit
-def _draw(
-    sums: NDArray[np.float64],
-    minima: NDArray[np.float64],
-    leaves: int,
-    runs: Runs,
-    size: NDArray[np.int64],
-    correction: NDArray[np.float64],
-    streams: Streams,
-    slots: NDArray[np.int64],
-    weights: NDArray[np.float64],
-) -> None:
-    batch_size = slots.shape[1]
-    for i in range(runs.shape[0]):
-        total = sums[runs[i]]
-        for j in range(batch_size):
-            mass = (j + uniform(streams[runs[i]])) / batch_size * total[1]
-            node = 1
-            while node < leaves:
-                node *= 2
-                # The right half may be empty where rounding has left a little mass over.
-                if mass >= total[node] and total[node + 1] > 0.0:
-                    mass -= total[node]
-                    node += 1
-            slots[i, j] = min(node - leaves, size[runs[i]] - 1)
-            weights[i, j] = (total[node] / minima[runs[i], 1]) ** -correction[i]
+def _rebuild_sums(sums: NDArray[np.float64]) -> None:
+    for run in range(sums.shape[0]):
+        for node in range(sums.shape[1] // 2 - 1, 0, -1):
+            sums[run, node] = sums[run, 2 * node] + sums[run, 2 * node + 1]
+
+
+class Priorities:
+    """The trees of R runs, or of none where there are no ``options``."""
+
+    def __init__(self, num_runs: int, capacity: int, options: PriorityOptions | None) -> None:
+        leaves = 1 << max(capacity - 1, 1).bit_length() if options else 1
+        count = num_runs if options else 0
+        known = options or PriorityOptions()
+        self.arrays = Trees(
+            np.zeros((count, 2 * leaves)),
+            np.full((count, 2 * leaves), np.inf),
+            np.ones(count),
+            np.zeros((0, 2 * leaves)),
+            known.exponent,
+            known.correction,
+            known.epsilon,
+        )
+
+    def keep_own(self) -> None:
+        """From now on draw a part of each minibatch from what is own; `arrays` are replaced."""
+        self.arrays = self.arrays._replace(own=np.zeros_like(self.arrays.sums))
+
+    def state(self) -> State | None:
+        """The leaves, and the largest priorities."""
+        sums, _, largest = self.arrays[:3]
+        return {"masses": sums[:, sums.shape[1] // 2 :].copy(), "largest": largest.copy()} if len(sums) else None
+
+    def restore(self, state: State | None, is_own: NDArray[np.bool_]) -> None:
+        """Go back to what `state` returned, where ``is_own`` ``[R, N]`` says which transitions are own."""
+        if state is None:
+            return
+        sums, minima, largest = self.arrays[:3]
+        masses = np.array(state["masses"])
+        largest[:] = state["largest"]
+        sums[:, sums.shape[1] // 2 :] = masses
+        minima[:, sums.shape[1] // 2 :] = np.where(masses > 0, masses, np.inf)
+        _rebuild(sums, minima)
+        if len(own := self.arrays.own):
+            own[:] = 0.0
+            own[:, sums.shape[1] // 2 :][:, : is_own.shape[1]] = np.where(is_own, masses[:, : is_own.shape[1]], 0.0)
+            _rebuild_sums(own)

@@ -1,34 +1,147 @@
-"""Replay memories of many runs: rings of transitions (Lin 1992), drawn from uniformly."""
+"""Replay memories of many runs: rings of transitions (Lin 1992), drawn from uniformly or by priority."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.batched import Runs
+from apel.dynamics.batched_environment import Runs
 from apel.learners.base import State
-from apel.learners.deep.draws import Streams, draw_indices
-from apel.learners.deep.frames import FramePool
-from apel.learners.stacked import Transitions
+from apel.learners.deep.encoding import Coding, encode
+from apel.learners.deep.frames import Bytes, FramePool, Frames, add_step, frame, release
+from apel.learners.deep.own import Own, draw_own, keep, own_of, own_part, rebuild
+from apel.numerics.compiled import njit
+from apel.numerics.streams import Stream, integer
+
+
+class Ring(NamedTuple):
+    """The last N transitions of each of R runs."""
+
+    frames: Frames
+    numbers: NDArray[np.int64]
+    """``[R, N, 2 · stack]``: of the frames of both observations."""
+    action: NDArray[np.int16]
+    """``[R, N]``, like the rest."""
+    reward: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    added: NDArray[np.int64]
+    """``[R]``: how many were ever added; the number of the next one."""
+    own: Own
 
 
 class Minibatch(NamedTuple):
-    """B transitions of each of A runs."""
+    """B transitions of each of A runs, and room for what is computed of them."""
 
-    observation: NDArray[Any]
-    """``[A, B, …]``, as stored."""
+    slots: NDArray[np.int64]
+    """``[A, B]``."""
+    weight: NDArray[np.float32]
+    """``[A, B]``: of importance."""
+    inputs: NDArray[np.float32]
+    """``[A, B, inputs]``."""
+    next_inputs: NDArray[np.float32]
     action: NDArray[np.int64]
     reward: NDArray[np.float32]
-    next_observation: NDArray[Any]
-    terminated: NDArray[np.float32]
-    """1 where the episode was over, 0 elsewhere."""
+    terminated: NDArray[np.bool_]
+    outputs: NDArray[np.float32]
+    """``[A, B, outputs]``: of the network that learns."""
+    next_outputs: NDArray[np.float32]
+    gradient: NDArray[np.float32]
+    """``[A, B, outputs]``: of the loss in ``outputs``."""
+
+    @classmethod
+    def empty(cls, num_runs: int, size: int, num_inputs: int, num_outputs: int) -> Minibatch:
+        """Room for A = ``num_runs`` of B = ``size``."""
+        grid = num_runs, size
+        inputs, outputs = (*grid, num_inputs), (*grid, num_outputs)
+        real = [np.zeros(shape, dtype=np.float32) for shape in (inputs, inputs, grid, outputs, outputs, outputs)]
+        return cls(
+            slots=np.zeros(grid, dtype=np.int64),
+            weight=np.ones(grid, dtype=np.float32),
+            inputs=real[0],
+            next_inputs=real[1],
+            action=np.zeros(grid, dtype=np.int64),
+            reward=real[2],
+            terminated=np.zeros(grid, dtype=np.bool_),
+            outputs=real[3],
+            next_outputs=real[4],
+            gradient=real[5],
+        )
 
 
-class Replay:
-    """The last ``capacity`` transitions of each of R runs.
+@njit
+def remember(
+    ring: Ring,
+    run: int,
+    observation: Bytes,
+    action: int,
+    reward: float,
+    next_observation: Bytes,
+    terminated: bool,
+    is_own: bool,
+) -> int:
+    """Store one transition of a run in place of its oldest; the slot that it went to."""
+    capacity = ring.action.shape[1]
+    slot = ring.added[run] % capacity
+    add_step(ring.frames, run, observation, next_observation, ring.numbers[run, slot])
+    ring.action[run, slot] = action
+    ring.reward[run, slot] = reward
+    ring.terminated[run, slot] = terminated
+    oldest = max(ring.added[run] + 1 - capacity, 0)
+    keep(ring.own, run, ring.added[run], oldest, is_own)
+    ring.added[run] += 1
+    first = ring.numbers[run, oldest % capacity, 0]
+    for j in range(1, ring.numbers.shape[2]):
+        first = min(first, ring.numbers[run, oldest % capacity, j])
+    release(ring.frames, run, first)  # no later transition has an earlier frame
+    return slot
+
+
+@njit(inline="always")
+def size_of(ring: Ring, run: int) -> int:
+    """How many transitions a run holds."""
+    return min(ring.added[run], ring.action.shape[1])
+
+
+@njit
+def draw(ring: Ring, run: int, stream: Stream, slots: NDArray[np.int64]) -> None:
+    """Write slots ``[B]``, drawn uniformly, with replacement: the part that is to be own from what is own, the others
+    from all.
+    """
+    part = own_part(ring.own, run, slots.shape[0])
+    for j in range(part):
+        slots[j] = draw_own(ring.own, run, stream) % ring.action.shape[1]
+    for j in range(part, slots.shape[0]):
+        slots[j] = integer(stream, size_of(ring, run))
+
+
+@njit
+def take(ring: Ring, coding: Coding, runs: Runs, batch: Minibatch) -> None:
+    """Write the transitions in ``batch.slots``."""
+    stack = ring.numbers.shape[2] // 2
+    for i in range(runs.shape[0]):
+        run = runs[i]
+        for j in range(batch.slots.shape[1]):
+            slot = batch.slots[i, j]
+            numbers = ring.numbers[run, slot]
+            _encode(ring.frames, coding, run, numbers[:stack], batch.inputs[i, j])
+            _encode(ring.frames, coding, run, numbers[stack:], batch.next_inputs[i, j])
+            batch.action[i, j] = ring.action[run, slot]
+            batch.reward[i, j] = ring.reward[run, slot]
+            batch.terminated[i, j] = ring.terminated[run, slot]
+
+
+@njit(inline="always")
+def _encode(frames: Frames, coding: Coding, run: int, numbers: NDArray[np.int64], inputs: Any) -> None:
+    length = inputs.shape[0] // numbers.shape[0]
+    for k in range(numbers.shape[0]):
+        one = frame(frames, run, numbers[k])
+        encode(coding, one.reshape((1, one.shape[0])), inputs[k * length : (k + 1) * length])
+
+
+class ReplayMemory:
+    """The rings of R runs.
 
     Observations are not stored twice, and no frame of a stack is: 10 000 transitions of stacks of four 84 × 84 frames
     take 72 MB, 10⁶ take 7.2 GB, where each by itself would take 564 MB and 56 GB.
@@ -37,81 +150,54 @@ class Replay:
     ----------
     num_runs, capacity:
         R, and how many transitions are remembered.
-    shape, storage_type:
-        Of an observation.
-    stack:
-        How many frames an observation has, along its first axis.
-
-    Attributes
-    ----------
-    size:
-        ``int64[R]``: how many each run holds.
+    stack, frame_bytes:
+        How many frames an observation has, and bytes of each.
     """
 
-    def __init__(
-        self, num_runs: int, capacity: int, shape: Sequence[int], storage_type: np.dtype[Any], stack: int = 1
-    ) -> None:
-        self._capacity, self._stack, self._shape = capacity, stack, tuple(shape)
-        self.size = np.zeros(num_runs, dtype=np.int64)
-        self._added = np.zeros(num_runs, dtype=np.int64)
+    def __init__(self, num_runs: int, capacity: int, stack: int, frame_bytes: int) -> None:
         # One more frame for each episode that ends in memory, and those of the step that is being added.
-        room = capacity + max(capacity // 16, 4 * stack)
-        self._frames = FramePool(num_runs, room, stack, shape, storage_type)
+        self._frames = FramePool(num_runs, capacity + max(capacity // 16, 4 * stack), stack, frame_bytes)
         # Zeros take up memory only once they are written to.
-        self._numbers = np.zeros((num_runs, capacity, 2 * stack), dtype=np.int64)
-        self._action = np.zeros((num_runs, capacity), dtype=np.int16)
-        self._reward = np.zeros((num_runs, capacity), dtype=np.float32)
-        self._terminated = np.zeros((num_runs, capacity), dtype=np.bool_)
-
-    def add(self, runs: Runs, transitions: Transitions) -> NDArray[np.int64]:
-        """Store one transition of each run in place of its oldest; the slots that they went to."""
-        slots = self._added[runs] % self._capacity
-        self._numbers[runs, slots] = self._frames.add(runs, transitions.observation, transitions.next_observation)
-        self._action[runs, slots] = transitions.action
-        self._reward[runs, slots] = transitions.reward
-        self._terminated[runs, slots] = transitions.terminated
-        self._added[runs] += 1
-        self.size[runs] = np.minimum(self._added[runs], self._capacity)
-        oldest = np.maximum(self._added[runs] - self._capacity, 0) % self._capacity
-        # No later transition has an earlier frame.
-        self._frames.release(runs, self._numbers[runs, oldest].min(axis=1))
-        return slots
-
-    def draw(self, runs: Runs, batch_size: int, streams: Streams) -> NDArray[np.int64]:
-        """Slots ``int64[A, B]``, uniformly with replacement."""
-        return draw_indices(self.size, runs, batch_size, streams)
-
-    def take(self, runs: Runs, slots: NDArray[np.int64]) -> Minibatch:
-        """The transitions in ``slots`` ``[A, B]``."""
-        chosen = runs[:, None], slots
-        frames = self._frames.take(runs, self._numbers[chosen])
-        shape = *slots.shape, *self._shape
-        return Minibatch(
-            observation=frames[:, :, : self._stack].reshape(shape),
-            action=self._action[chosen].astype(np.int64),
-            reward=self._reward[chosen],
-            next_observation=frames[:, :, self._stack :].reshape(shape),
-            terminated=self._terminated[chosen].astype(np.float32),
+        grid = num_runs, capacity
+        self._columns: tuple[NDArray[Any], ...] = (
+            np.zeros((*grid, 2 * stack), dtype=np.int64),
+            np.zeros(grid, dtype=np.int16),
+            np.zeros(grid, dtype=np.float32),
+            np.zeros(grid, dtype=np.bool_),
         )
+        self._added = np.zeros(num_runs, dtype=np.int64)
+        self._own = own_of(num_runs, 0, 0)
+
+    @property
+    def arrays(self) -> Ring:
+        """As compiled code works on them."""
+        numbers, action, reward, terminated = self._columns
+        return Ring(self._frames.arrays, numbers, action, reward, terminated, self._added, self._own)
+
+    def keep_own(self, part: int) -> None:
+        """From now on note who played, and draw so many of each minibatch from what is own; `arrays` are replaced."""
+        self._own = own_of(len(self._added), self._columns[1].shape[1], part)
+
+    @property
+    def size(self) -> NDArray[np.int64]:
+        """``int64[R]``: how many each run holds."""
+        return np.minimum(self._added, self._columns[1].shape[1])
+
+    def reserve(self, runs: Runs, steps: int) -> bool:
+        """See to room for so many steps of each of ``runs``; whether `arrays` had to be replaced."""
+        return self._frames.reserve(runs, min(steps, self._columns[1].shape[1] + 1))
 
     def state(self) -> State:
         """All that is filled."""
-        return {
-            "added": self._added.copy(),
-            "columns": [column[:, : self._filled()].copy() for column in self._columns()],
-            "frames": self._frames.state(),
-        }
+        filled = int(self.size.max(initial=0))
+        columns = [column[:, :filled].copy() for column in self._columns]
+        own = {"own": self._own.is_own[:, :filled].copy()} if self._own.part else {}
+        return {"added": self._added.copy(), "columns": columns, "frames": self._frames.state(), **own}
 
     def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
-        self._added = np.array(state["added"])
-        self.size = np.minimum(self._added, self._capacity)
-        for column, stored in zip(self._columns(), state["columns"], strict=True):
-            column[:, : self._filled()] = stored
+        """Go back to what `state` returned; `arrays` may have to be replaced."""
+        self._added[:] = state["added"]
+        for column, stored in zip(self._columns, state["columns"], strict=True):
+            column[:, : stored.shape[1]] = stored
         self._frames.restore(state["frames"])
-
-    def _filled(self) -> int:
-        return int(self.size.max(initial=0))
-
-    def _columns(self) -> list[NDArray[Any]]:
-        return [self._numbers, self._action, self._reward, self._terminated]
+        rebuild(self._own, state.get("own"), self._added - self.size, self._added)

@@ -1,220 +1,302 @@
-"""Soft actor-critic for discrete actions (Christodoulou 2019), for all runs of a shard at once."""
+"""Soft actor-critic for discrete actions (Christodoulou 2019)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic.dataclasses import dataclass
-from torch import Tensor
 
-from apel.batched import Runs
+from apel.dynamics.batched_environment import Runs
+from apel.learners.banks.single import SingleLearner
 from apel.learners.base import State
-from apel.learners.deep.devices import LANES, DeviceName, open_device
-from apel.learners.deep.draws import LearnerStreams, draw_categorical, softmax
-from apel.learners.deep.encoding import Encoder, Encoding
-from apel.learners.deep.networks import NetworkOptions, QNetwork, TwinQ
-from apel.learners.deep.options import Count, Positive, Share, Width
-from apel.learners.deep.parameters import FrozenRows, RowAdam, Rows, initial_rows
-from apel.learners.deep.replay import Minibatch, Replay
-from apel.learners.q_learning import OPTIONS_CONFIG
-from apel.learners.single import SingleLearner
-from apel.learners.stacked import Transitions
+from apel.learners.deep.acer import choose, look
+from apel.learners.deep.arithmetic import exp, softmax
+from apel.learners.deep.compiled_network import Descent
+from apel.learners.deep.deep_learner import UPDATE, Algorithm, BatchedDeepLearner, Looking, Steps
+from apel.learners.deep.draws import Streams
+from apel.learners.deep.encoding import Coding, Frames, encode_all
+from apel.learners.deep.engines import ACTING, ONLINE, OTHER, descend, evaluate, follow, predict
+from apel.learners.deep.networks import q_network, twin_q
+from apel.learners.deep.perceptron import adam
+from apel.learners.deep.replay import Minibatch, ReplayMemory, Ring, draw, remember, take
+from apel.learners.deep.sac_options import SacOptions
+from apel.numerics.compiled import njit
 
 _CRITIC_SEED = 0x2545F4914F6CDD1D
 
 
-@dataclass(frozen=True, config=OPTIONS_CONFIG)
-class SacOptions:
-    """Options of discrete soft actor-critic.
+class Rules(NamedTuple):
+    """`SacOptions` as compiled code has them."""
 
-    Attributes
-    ----------
-    learning_rate, adam_epsilon:
-        Of Adam, for the policy, the critics and the temperature.
-    discount:
-        γ.
-    target_entropy:
-        The policy's entropy is steered to this share of the largest possible, log |A|.
-    initial_temperature:
-        α at the beginning.
-    target_average:
-        τ: θ_target ← (1 − τ) θ_target + τ θ after each update.
-    replay_size, batch_size, learning_starts, train_every:
-        As for DQN; before ``learning_starts`` observed steps it acts uniformly at random.
-    encoding, network, device, lanes:
-        As for DQN; the policy and the critics have a network of this kind each.
+    discount: float
+    target_entropy: float
+    """Of the policy, in nats."""
+    target_average: float
+    learning_starts: int
+    train_every: int
+    learning_rate: float
+    epsilon: float
+
+
+class Temperature(NamedTuple):
+    """log α of R runs, and its optimiser's moments, ``float32[R, 1]`` each."""
+
+    logarithm: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    square: NDArray[np.float32]
+    clock: NDArray[np.int64]
+    """``int64[R]``."""
+
+
+class Core(NamedTuple):
+    """What the learners of R runs have beside their networks."""
+
+    rules: Rules
+    coding: Coding
+    streams: Streams
+    steps: NDArray[np.int64]
+    """``int64[R]``: how many were observed."""
+    memory: Ring
+    temperature: Temperature
+
+
+class SacArrays(NamedTuple):
+    """The learners of R runs."""
+
+    core: Core
+    policy: Any
+    critics: Any
+    looking: Looking
+    batch: Minibatch
+    """Its outputs are those of both critics, ``[A, B, 2 · actions]``."""
+    logits: NDArray[np.float32]
+    """``[A, B, actions]``: of the policy."""
+    policy_gradient: NDArray[np.float32]
+
+    def act(self, *arguments: Any) -> None:
+        """See `apel.learners.deep.deep_learner`."""
+        act(self, *arguments)
+
+    def learn(self, *arguments: Any) -> None:
+        """See `apel.learners.deep.deep_learner`."""
+        learn(self, *arguments)
+
+
+@njit
+def act(sac: SacArrays, runs: Runs, frames: Frames, actions: NDArray[np.int64], probability: Any) -> None:
+    """Draw from the policy: write ``actions`` ``[A]``, and the ``probability`` ``[A, actions]`` of all."""
+    encode_all(sac.core.coding, frames, sac.looking.inputs)
+    evaluate(sac.policy, ACTING, runs, 1, sac.looking.inputs, sac.looking.outputs)
+    look(sac.looking.outputs, probability)
+    begin_at_random(sac.core, runs, probability)
+    choose(sac.core.streams, runs, probability, actions)
+
+
+@njit
+def begin_at_random(core: Core, runs: Runs, probability: Any) -> None:
+    """Uniform probabilities for those that do not learn yet."""
+    for i in range(runs.shape[0]):
+        if core.steps[runs[i]] < core.rules.learning_starts:
+            probability[i] = 1.0 / probability.shape[1]
+
+
+@njit
+def learn(sac: SacArrays, runs: Runs, steps: Steps) -> None:
+    """Learn from steps, one after the other; of perceptrons."""
+    for i in range(runs.shape[0]):
+        if note(sac.core, runs[i], steps, i) & UPDATE:
+            update(sac, runs[i : i + 1])
+
+
+@njit
+def note(core: Core, run: int, steps: Steps, i: int) -> int:
+    """Remember one step; what is due after it."""
+    observation, following = steps.frames[i], steps.next_frames[i]
+    columns = steps.action[i], steps.reward[i], following, steps.terminated[i], steps.own[i]
+    remember(core.memory, run, observation, *columns)
+    step = core.steps[run]
+    core.steps[run] += 1
+    return UPDATE if step > core.rules.learning_starts and step % core.rules.train_every == 0 else 0
+
+
+@njit
+def update(sac: SacArrays, runs: Runs) -> None:
+    """The critics, then the policy against the new critics, then α, then the target."""
+    core, batch, size = sac.core, sac.batch, sac.batch.slots.shape[1]
+    sample(core, runs, batch)
+    evaluate(sac.policy, ONLINE, runs, size, batch.next_inputs, sac.logits)
+    evaluate(sac.critics, OTHER, runs, size, batch.next_inputs, batch.next_outputs)
+    predict(sac.critics, runs, size, batch.inputs, batch.outputs)
+    critic_gradient(core.rules, core.temperature, runs, sac.logits, batch)
+    descend(sac.critics, runs, size, batch.inputs, batch.gradient)
+    evaluate(sac.critics, ONLINE, runs, size, batch.inputs, batch.outputs)
+    predict(sac.policy, runs, size, batch.inputs, sac.logits)
+    policy_gradient(core.rules, core.temperature, runs, sac.logits, batch.outputs, sac.policy_gradient)
+    descend(sac.policy, runs, size, batch.inputs, sac.policy_gradient)
+    follow(sac.critics, runs, core.rules.target_average)
+
+
+@njit
+def sample(core: Core, runs: Runs, batch: Minibatch) -> None:
+    """Draw a minibatch of each run."""
+    for i in range(runs.shape[0]):
+        draw(core.memory, runs[i], core.streams.sampling[runs[i]], batch.slots[i])
+    take(core.memory, core.coding, runs, batch)
+
+
+@njit
+def _read_policy(logits: Any, policy: NDArray[np.float64], logarithms: NDArray[np.float64]) -> None:
+    shift = softmax(logits, policy)
+    for a in range(policy.shape[0]):
+        logarithms[a] = np.float64(logits[a]) - shift
+
+
+@njit
+def soft_target(reward: float, discount: float, temperature: float, policy: Any, logarithms: Any, values: Any) -> float:
+    """The target y = r + γ Σ_a π(a|s′) (min Q_target(s′, a) − α log π(a|s′)), of both critics' ``values``; γ is 0 after
+    the end.
     """
-
-    learning_rate: Positive = 3e-4
-    adam_epsilon: Positive = 1e-8
-    discount: Share = 0.99
-    target_entropy: Share = 0.3
-    initial_temperature: Positive = 1.0
-    target_average: Share = 0.005
-    replay_size: Width = 50_000
-    batch_size: Width = 64
-    learning_starts: Count = 1000
-    train_every: Width = 1
-    encoding: Encoding = "raw"
-    network: NetworkOptions = NetworkOptions(activation="relu", initialisation="pytorch")
-    device: DeviceName = "cpu"
-    lanes: Width = LANES
+    num_actions, worth = policy.shape[0], 0.0
+    for a in range(num_actions):
+        smaller = np.float64(min(values[a], values[num_actions + a]))
+        worth += policy[a] * (smaller - temperature * logarithms[a])
+    return reward + discount * worth
 
 
-def soft_targets(
-    log_policy: Tensor, values: Tensor, temperature: Tensor, reward: Tensor, terminated: Tensor, discount: float
-) -> Tensor:
-    """The targets y = r + γ (1 − terminated) Σ_a π(a|s′) (min Q_target(s′, a) − α log π(a|s′)), ``float32[A, B]``.
+@njit
+def critic_gradient(rules: Rules, temperature: Temperature, runs: Runs, next_logits: Any, batch: Minibatch) -> None:
+    """Write ``batch.gradient``: of the mean of both critics' halved squared errors, in their outputs."""
+    _, size, num_actions = next_logits.shape
+    policy, logarithms = np.empty(num_actions), np.empty(num_actions)
+    for i in range(runs.shape[0]):
+        alpha = exp(np.float64(temperature.logarithm[runs[i], 0]))
+        for j in range(size):
+            _read_policy(next_logits[i, j], policy, logarithms)
+            discount = 0.0 if batch.terminated[i, j] else rules.discount
+            reward, values = np.float64(batch.reward[i, j]), batch.next_outputs[i, j]
+            target = soft_target(reward, discount, alpha, policy, logarithms, values)
+            batch.gradient[i, j] = 0.0
+            for k in range(2):
+                place = k * num_actions + batch.action[i, j]
+                batch.gradient[i, j, place] = (batch.outputs[i, j, place] - target) / size
 
-    ``log_policy`` and ``values`` (the smaller of both critics) are ``[A, B, actions]``, ``temperature`` ``[A, 1]``.
+
+@njit
+def policy_gradient(
+    rules: Rules, temperature: Temperature, runs: Runs, logits: Any, values: Any, gradient: Any
+) -> None:
+    """Write the ``gradient`` ``[A, B, actions]`` of the mean of Σ π (α log π − min Q) in the logits; and step log α
+    against the difference of the mean entropy to the target.
     """
-    soft_value = (log_policy.exp() * (values - temperature.unsqueeze(-1) * log_policy)).sum(-1)
-    return reward + discount * (1.0 - terminated) * soft_value
+    _, size, num_actions = logits.shape
+    policy, logarithms, cost = np.empty(num_actions), np.empty(num_actions), np.empty(num_actions)
+    for i in range(runs.shape[0]):
+        alpha, entropy = exp(np.float64(temperature.logarithm[runs[i], 0])), 0.0
+        for j in range(size):
+            _read_policy(logits[i, j], policy, logarithms)
+            mean = 0.0
+            for a in range(num_actions):
+                smaller = np.float64(min(values[i, j, a], values[i, j, num_actions + a]))
+                cost[a] = alpha * logarithms[a] - smaller
+                mean += policy[a] * cost[a]
+                entropy -= policy[a] * logarithms[a] / size
+            for a in range(num_actions):
+                gradient[i, j, a] = policy[a] * (cost[a] - mean) / size
+        _step_temperature(rules, temperature, runs[i], entropy - rules.target_entropy)
 
 
-class StackedSac:
-    """Discrete soft actor-critic for R runs.
+@njit
+def _step_temperature(rules: Rules, temperature: Temperature, run: int, slope: float) -> None:
+    gradient = np.full(1, slope, dtype=np.float32)
+    temperature.clock[run] += 1
+    logarithm, mean, square = temperature.logarithm[run], temperature.mean[run], temperature.square[run]
+    adam(temperature.clock[run], rules.learning_rate, rules.epsilon, gradient, logarithm, mean, square)
 
-    Parameters
-    ----------
-    observation_space:
-        What the learners see.
-    num_actions:
-        How many actions there are.
-    seeds:
-        A 64-bit seed per run: initial weights, actions and minibatches follow from it.
-    options:
-        Those of `SacOptions`.
-    """
 
-    off_policy: ClassVar[bool] = True
+class BatchedSac(BatchedDeepLearner):
+    """Discrete soft actor-critic for R runs; see `SacOptions`."""
 
-    def __init__(
-        self, observation_space: spaces.Space[Any], num_actions: int, seeds: Sequence[int], **options: Any
-    ) -> None:
-        self.options = SacOptions(**options)
-        device = open_device(self.options.device)
-        self._num_actions, num_runs = num_actions, len(seeds)
-        self._encoder = Encoder(observation_space, self.options.encoding)
-        shape, network = self._encoder.shape, self.options.network
-        self._policy_network = QNetwork(shape, num_actions, network, (), dueling=False)
-        self._critic_network = TwinQ(shape, num_actions, network)
-        self._rows = Rows(num_runs, device, self.options.lanes)
-        self._policy = initial_rows(self._policy_network.layout, seeds, device)
-        self._critics = initial_rows(self._critic_network.layout, [seed ^ _CRITIC_SEED for seed in seeds], device)
-        self._target = self._critics.clone()
-        self._log_temperature = torch.full((num_runs, 1), math.log(self.options.initial_temperature), device=device)
-        self._frozen = FrozenRows(self._rows, len(seeds))
-        learned = (self._policy, self._critics, self._log_temperature)
-        self._adams = [RowAdam(rows, self.options.learning_rate, self.options.adam_epsilon) for rows in learned]
-        encoder = self._encoder
-        size, shape = self.options.replay_size, encoder.observation_shape
-        self._replay = Replay(num_runs, size, shape, encoder.storage_type, encoder.stack)
-        self._streams = LearnerStreams(seeds)
-        self._steps = np.zeros(num_runs, dtype=np.int64)
+    algorithm = Algorithm(act, learn, note, update, look)
+    options: SacOptions
 
-    def act(self, runs: Runs, observation: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """See `StackedLearner`: an action drawn from the policy."""
-        probability = self.action_values(runs, observation)
-        probability[self._steps[runs] < self.options.learning_starts] = 1.0 / self._num_actions
-        return draw_categorical(probability, runs, self._streams.acting), probability
-
-    def action_values(self, runs: Runs, observation: NDArray[Any]) -> NDArray[np.float64]:
-        """π(·|s) of the policies that act."""
-        return softmax(self._rows.forward(self._evaluate, runs, self._encoder(observation)))
-
-    def learn(self, runs: Runs, transitions: Transitions) -> None:
-        """Remember one step; update where it is time."""
-        self._replay.add(runs, transitions)
-        steps = self._steps[runs]
-        self._steps[runs] += 1
-        due = runs[(steps > self.options.learning_starts) & (steps % self.options.train_every == 0)]
-        for one_call in self._rows.calls(due):
-            slots = self._replay.draw(one_call, self.options.batch_size, self._streams.sampling)
-            self._update(one_call, self._replay.take(one_call, slots))
-
-    def lag(self, runs: Runs) -> NDArray[np.int64]:
-        """See `StackedLearner`."""
-        return -self._steps[runs] % self.options.train_every
-
-    def end_episode(self, runs: Runs) -> None:
-        """It counts steps, not episodes."""
-
-    def freeze(self, runs: Runs) -> None:
-        """Act on today's policy until the next call."""
-        self._frozen.freeze(self._policy, runs)
+    def reserve(self, runs: Runs, steps: int) -> None:
+        """See `BatchedDeepLearner`."""
+        if self._replay.reserve(runs, steps):
+            self.learner = self._assemble()
 
     def state(self) -> State:
         """Networks, optimisers, memory, streams and clocks."""
-        matrices = (self._policy, self._critics, self._target, self._log_temperature)
         return {
-            "matrices": [self._rows.array(matrix) for matrix in matrices],
-            "frozen": self._frozen.state(),
-            "adams": [adam.state() for adam in self._adams],
+            "policy": self.acting.state(),
+            "critics": self._critics.state(),
+            "temperature": [array.copy() for array in self._temperature],
             "replay": self._replay.state(),
             "streams": self._streams.state(),
             "steps": self._steps.copy(),
         }
 
-    def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
-        matrices = (self._policy, self._critics, self._target, self._log_temperature)
-        for matrix, array in zip(matrices, state["matrices"], strict=True):
-            self._rows.restore(matrix, array)
-        self._frozen.restore(state["frozen"])
-        for adam, stored in zip(self._adams, state["adams"], strict=True):
-            adam.restore(stored)
+    def _restore(self, state: State) -> None:
+        self.acting.restore(state["policy"])
+        self._critics.restore(state["critics"])
+        arrays: tuple[NDArray[Any], ...] = self._temperature
+        for array, stored in zip(arrays, state["temperature"], strict=True):
+            array[:] = stored
         self._replay.restore(state["replay"])
         self._streams.restore(state["streams"])
-        self._steps = np.array(state["steps"])
+        self._steps[:] = state["steps"]
 
-    def _evaluate(self, runs: Runs, inputs: Tensor) -> Tensor:
-        return self._policy_network(self._frozen.of(self._policy, runs), inputs)
+    def _keep_own(self, part: int) -> None:
+        self._replay.keep_own(part)
 
-    def _update(self, runs: Runs, batch: Minibatch) -> None:
-        observation = self._rows.tensor(self._encoder(batch.observation))
-        temperature = self._rows.of(self._log_temperature, runs).exp()
-        self._update_critics(runs, batch, observation, temperature)
-        entropy = self._update_policy(runs, observation, temperature)
-        wanted = self.options.target_entropy * math.log(self._num_actions)
-        self._adams[2].step(runs, entropy - wanted)
-        moved = self._rows.of(self._target, runs).lerp(self._rows.of(self._critics, runs), self.options.target_average)
-        self._rows.write(self._target, runs, moved)
+    def _read(self, **options: Any) -> SacOptions:
+        return SacOptions(**options)
 
-    def _update_critics(self, runs: Runs, batch: Minibatch, observation: Tensor, temperature: Tensor) -> None:
-        following = self._rows.tensor(self._encoder(batch.next_observation))
-        action = self._rows.tensor(batch.action)[None, :, :, None]
-        with torch.no_grad():
-            log_policy = torch.log_softmax(self._policy_network(self._rows.of(self._policy, runs), following), -1)
-            values = self._critic_network(self._rows.of(self._target, runs), following).amin(0)
-            reward, terminated = self._rows.tensor(batch.reward), self._rows.tensor(batch.terminated)
-            target = soft_targets(log_policy, values, temperature, reward, terminated, self.options.discount)
-        rows = self._rows.of(self._critics, runs).detach().requires_grad_()
-        predicted = self._critic_network(rows, observation)
-        errors = predicted.gather(3, action.expand(len(predicted), -1, -1, -1)).squeeze(-1) - target
-        (gradients,) = torch.autograd.grad(0.5 * errors.square().mean(-1).sum(), rows)
-        self._adams[1].step(runs, gradients)
+    def _build(self, seeds: Sequence[int]) -> None:
+        chosen, encoder, num_actions = self.options, self.encoder, self.num_actions
+        descent, size = Descent(chosen.learning_rate, chosen.adam_epsilon), chosen.batch_size
+        policy = q_network(encoder.shape, num_actions, chosen.network)
+        self.acting = self._network(policy, seeds, descent, size, has_other=False)
+        critics = twin_q(encoder.shape, num_actions, chosen.network)
+        others = [seed ^ _CRITIC_SEED for seed in seeds]
+        self._critics = self._network(critics, others, descent, size, has_other=True)
+        logarithm = np.full((len(seeds), 1), math.log(chosen.initial_temperature), dtype=np.float32)
+        clock = np.zeros(len(seeds), dtype=np.int64)
+        self._temperature = Temperature(logarithm, np.zeros_like(logarithm), np.zeros_like(logarithm), clock)
+        self._replay = ReplayMemory(len(seeds), chosen.replay_size, encoder.stack, encoder.frame_bytes)
+        self._rooms = self._looking(num_actions), self._minibatch(2 * num_actions)
 
-    def _update_policy(self, runs: Runs, observation: Tensor, temperature: Tensor) -> Tensor:
-        """Descend in the policy's loss; the mean entropy before that, ``[A, 1]``."""
-        with torch.no_grad():
-            values = self._critic_network(self._rows.of(self._critics, runs), observation).amin(0)
-        rows = self._rows.of(self._policy, runs).detach().requires_grad_()
-        log_policy = torch.log_softmax(self._policy_network(rows, observation), -1)
-        policy = log_policy.exp()
-        loss = (policy * (temperature.unsqueeze(-1) * log_policy - values)).sum(-1).mean(-1).sum()
-        (gradients,) = torch.autograd.grad(loss, rows)
-        self._adams[0].step(runs, gradients)
-        return -(policy * log_policy).detach().sum(-1).mean(-1, keepdim=True)
+    def _assemble(self) -> SacArrays:
+        chosen, (looking, batch) = self.options, self._rooms
+        rules, memory, temperature = rules_of(chosen, self.num_actions), self._replay.arrays, self._temperature
+        logits = np.zeros((*batch.slots.shape, self.num_actions), dtype=np.float32)
+        return SacArrays(
+            core=Core(rules, self.encoder.coding, self._streams, self._steps, memory, temperature),
+            policy=self.acting.arrays,
+            critics=self._critics.arrays,
+            looking=looking,
+            batch=batch,
+            logits=logits,
+            policy_gradient=np.zeros_like(logits),
+        )
+
+
+def rules_of(options: SacOptions, num_actions: int) -> Rules:
+    """The options as compiled code has them."""
+    return Rules(
+        discount=options.discount,
+        target_entropy=options.target_entropy * math.log(num_actions),
+        target_average=options.target_average,
+        learning_starts=options.learning_starts,
+        train_every=options.train_every,
+        learning_rate=options.learning_rate,
+        epsilon=options.adam_epsilon,
+    )
 
 
 class DiscreteSac(SingleLearner):
-    """Discrete soft actor-critic for one run; see `StackedSac` and `SacOptions`."""
+    """Discrete soft actor-critic for one run; see `BatchedSac` and `SacOptions`."""
 
-    stacked_type = StackedSac
+    batched_type = BatchedSac

@@ -9,9 +9,9 @@ import numpy as np
 
 from jobs.analysis.plotting import style
 from jobs.analysis.plotting.samples import NAMES, Sample, cap, count_of_runs, samples, selected
-from jobs.analysis.survival import share_solved
-from jobs.plots import ArmPlot
-from jobs.spec import Experiment
+from jobs.analysis.statistics.survival import share_solved
+from jobs.experiment.figures import ArmPlot
+from jobs.experiment.spec import Experiment
 
 _MOST_UPRIGHT = 8
 _NUM_BINS = 25

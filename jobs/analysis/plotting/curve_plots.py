@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from apel.theory import closed_forms
-from cluster.storage import Folder
-from jobs.analysis.bootstrap import Floats
 from jobs.analysis.plotting import style
 from jobs.analysis.plotting.samples import selected
-from jobs.analysis.recorded import Curves, moving_mean, read_curves
-from jobs.plots import CurvePlot
-from jobs.spec import Experiment
+from jobs.analysis.recorded_episodes import Curves, moving_mean, read_curves
+from jobs.analysis.statistics.bootstrap import Floats
+from jobs.experiment.figures import CurvePlot
+from jobs.experiment.spec import Experiment
+from jobs.results.storage import Folder
 
 Y_LABELS = {
     "return": "return",

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from jobs.analysis.bootstrap import Floats
-from jobs.analysis.plotting import overlays, style
+from jobs.analysis.plotting import style, theory_overlays
 from jobs.analysis.plotting.samples import NAMES, Sample, count_of_runs, sample, selected
-from jobs.plots import LinePlot
-from jobs.spec import Experiment
+from jobs.analysis.statistics.bootstrap import Floats
+from jobs.experiment.figures import LinePlot
+from jobs.experiment.spec import Experiment
 
 _MOST_IN_A_PANEL = 6
 _MOST_NAMED_TICKS = 10
@@ -49,7 +49,7 @@ def draw(plt: Any, runs: Any, plot: LinePlot, experiment: Experiment) -> Any:
     for axes, panel in zip(all_axes[0], panels, strict=True):
         _panel(axes, panel, plot, experiment, names, is_split=is_split)
     all_axes[0, 0].set_ylabel(NAMES[plot.metric])
-    overlays.draw(all_axes[0], runs, frame, plot, experiment)
+    theory_overlays.draw(all_axes[0], runs, frame, plot, experiment)
     _finish(figure, all_axes[0], series, plot, experiment)
     return figure
 

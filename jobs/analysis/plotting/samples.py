@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from jobs.analysis.bootstrap import Floats, bootstrap_interval
-from jobs.plots import ArmPlot, CurvePlot, LinePlot, Metric
-from jobs.spec import Experiment
+from jobs.analysis.statistics.bootstrap import Floats, bootstrap_interval
+from jobs.experiment.figures import ArmPlot, CurvePlot, LinePlot, Metric
+from jobs.experiment.spec import Experiment
 
 NAMES: dict[Metric, str] = {
     "train_time": "train time (episodes)",
@@ -86,13 +86,14 @@ def sample(rows: Any, metric: Metric) -> Sample:
 
 
 def cap(experiment: Experiment, metric: Metric) -> float | None:
-    """The longest time that a run can have; None where sweep points differ, and where there is none."""
+    """The longest time that a run can have; None where runs or sweep points differ, and where there is none."""
     swept = {
         path for axis, paths in experiment.sweep.items() for path in (paths if isinstance(paths, dict) else [axis])
     }
     if metric == "steady_state" or experiment.criterion is None or swept & {"episodes", "criterion.after"}:
         return None
-    return float(experiment.episodes - (experiment.criterion.after if metric == "adaptation_time" else 0))
+    after = experiment.criterion.after if metric == "adaptation_time" else 0
+    return None if isinstance(after, str) else float(experiment.episodes - after)
 
 
 def count_of_runs(all_samples: Sequence[Sample]) -> str:

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from cluster.storage import Folder
-from jobs.analysis.bootstrap import Estimate, Floats, bootstrap_curve
 from jobs.analysis.plotting import style
 from jobs.analysis.plotting.curve_plots import LEARNER_COLOURS, PER_LEARNER, Y_LABELS, numbered
 from jobs.analysis.plotting.samples import selected
 from jobs.analysis.plotting.switch_marks import Marks
-from jobs.analysis.recorded import Curves, at_steps, moving_mean, read_curves
-from jobs.plots import CurvePlot
-from jobs.spec import Experiment
+from jobs.analysis.recorded_episodes import Curves, at_steps, moving_mean, read_curves
+from jobs.analysis.statistics.bootstrap import Estimate, Floats, bootstrap_curve
+from jobs.experiment.figures import CurvePlot
+from jobs.experiment.spec import Experiment
+from jobs.results.storage import Folder
 
 _POINTS = 300
 # A band is drawn some pixels wide; more resamples would change less than one.

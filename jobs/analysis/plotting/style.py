@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from cluster.storage import Folder
-from jobs.spec import Experiment
+from jobs.experiment.spec import Experiment
+from jobs.results.storage import Folder
 
 # Okabe & Ito (2008): colours that remain distinct to the colour-blind; their yellow is too light for a line, and on
 # their black no interval could be seen.
@@ -47,11 +47,41 @@ def pyplot() -> Iterator[Any]:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    with mpl.rc_context(_STYLE):
+    with _in_style():
         try:
             yield plt
         finally:
             plt.close("all")
+
+
+@contextmanager
+def apart() -> Iterator[Any]:
+    """What makes figures in this style that are the caller's, beside whatever is open and on whatever screen."""
+    with _in_style():
+        yield _Apart
+
+
+class _Apart:
+    """As much of pyplot as the figures need."""
+
+    @staticmethod
+    def subplots(rows: int, columns: int, *, figsize: tuple[float, float], **options: Any) -> tuple[Any, Any]:
+        """A figure that no window is waiting for, and its axes."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=figsize)
+        return figure, figure.subplots(rows, columns, **options)
+
+
+@contextmanager
+def _in_style() -> Iterator[None]:
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        # Not what a `matplotlibrc` of the working directory says, which comes before all others.
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
 
 
 def colours(experiment: Experiment) -> dict[str, str]:
@@ -105,9 +135,27 @@ def legend(figure: Any, axes: Any, num_columns: int | None = None) -> None:
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=count)
 
 
+def _take_literally(figure: Any) -> None:
+    """Titles and labels are text, also where a user's holds dollar signs, between which matplotlib would read TeX.
+
+    The numbers at an axis are matplotlib's own, and stay formulas.
+    """
+    from matplotlib.text import Text
+
+    of_axes = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+    numbers = {
+        id(label) for axis in of_axes for which in ("major", "minor") for label in axis.get_ticklabels(which=which)
+    }
+    numbers |= {id(axis.offsetText) for axis in of_axes}
+    for text in figure.findobj(Text):
+        if id(text) not in numbers:
+            text.set_parse_math(False)
+
+
 def save(folder: Folder, figure: Any, name: str) -> list[str]:
     """Write a figure as PNG and SVG; returns where they are."""
     written = []
+    _take_literally(figure)
     # Without dates and versions, so that the same results give the same file.
     for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
         buffer = io.BytesIO()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from jobs.analysis.plotting import style
-from jobs.analysis.switch_runs import Point, SwitchData
-from jobs.analysis.switch_table import crossing_of_means
-from jobs.spec import Experiment
+from jobs.analysis.switching.runs import Point, SwitchData
+from jobs.analysis.switching.table import crossing_of_means
+from jobs.experiment.spec import Experiment
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 
 import pytest
 
-from apel.selection import Selector
-from apel.streams import stream_of_seed
+from apel.numerics.streams import stream_of_seed
+from apel.run.selection import COMMON, Selector, common_blocks
 
 
 class Clock:
@@ -28,20 +28,20 @@ class Clock:
 
     @property
     def probability(self) -> list[float]:
-        return self.state[: self.num_learners].tolist()
+        return common_blocks(self.state, self.num_learners).probability.tolist()
 
     @property
     def estimate(self) -> list[float]:
-        return self.state[self.num_learners : 2 * self.num_learners].tolist()
+        return common_blocks(self.state, self.num_learners).performance_estimate.tolist()
 
     @property
     def concentration(self) -> list[float]:
-        return self.state[2 * self.num_learners : 3 * self.num_learners].tolist()
+        return common_blocks(self.state, self.num_learners).concentration.tolist()
 
     @property
     def rest(self) -> list[float]:
         """The state behind the common blocks."""
-        return self.state[3 * self.num_learners :].tolist()
+        return self.state[COMMON.size(self.num_learners) :].tolist()
 
 
 Trace = Iterable[tuple[Sequence[float], int, float]]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from apel.streams import categorical, dirichlet, integer
+from apel.numerics.streams import categorical, dirichlet, integer
 
 
 def select_apel(n: int, state: Any, stream: Any) -> int:

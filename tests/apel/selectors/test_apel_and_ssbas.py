@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apel.selection import Selector, header
+from apel.run.selection import COMMON, Selector, new_state
 from apel.selectors import Apel, Fixed, Ssbas, Uniform
 from tests.apel.plain_selector import PlainSelector
 from tests.apel.selectors.clock import Clock
@@ -32,7 +32,7 @@ def test_satisfies_the_protocol(selector: Selector) -> None:
 
 
 @pytest.mark.parametrize("selector", SHIPPED, ids=lambda s: type(s).__name__)
-def test_state_opens_with_the_common_header(selector: Selector) -> None:
+def test_state_opens_with_the_common_blocks(selector: Selector) -> None:
     """A state is float64 and opens with probability | estimate | concentration; no estimate is set at first."""
     state = selector.initial_state(3, 10)
     assert state.dtype == np.float64
@@ -42,9 +42,9 @@ def test_state_opens_with_the_common_header(selector: Selector) -> None:
     assert state[6:9].tolist() == [1.0] * 3 if isinstance(selector, Apel) else np.isnan(state[6:9]).all()
 
 
-def test_header_layout() -> None:
-    """The header holds uniform probabilities, no estimates, and equal concentrations, in this order."""
-    np.testing.assert_array_equal(header(2, concentration=4.0), [0.5, 0.5, math.nan, math.nan, 4.0, 4.0])
+def test_layout_of_the_common_blocks() -> None:
+    """They hold uniform probabilities, no estimates, and equal concentrations, in this order."""
+    np.testing.assert_array_equal(new_state(COMMON, 2, concentration=4.0), [0.5, 0.5, math.nan, math.nan, 4.0, 4.0])
 
 
 @pytest.mark.parametrize("selector", SHIPPED, ids=lambda s: type(s).__name__)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from apel.run.selection import COMMON
 from apel.selectors import Apel, ApelMargin, ApelRecency, ApelSurprise
 from tests.apel.selectors import frozen
 from tests.apel.selectors.clock import Clock, bits
@@ -52,7 +53,7 @@ def test_without_strength_it_is_apel(
         assert other.select() == selected
         for clock in (plain, other):
             clock.observe(selected, performance)
-        assert bits(plain.state) == bits(other.state[: 3 * num_learners])
+        assert bits(plain.state) == bits(other.state[: COMMON.size(num_learners)])
     assert plain.stream.tolist() == other.stream.tolist()
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from apel.book import is_compiled
-from apel.registry import SELECTORS
-from apel.selection import Selector
+from apel.building.registry import SELECTORS
+from apel.run.selection import Selector
+from apel.run.state import is_compiled
 from tests.apel.selectors.clock import Clock, bits
 
 OPTIONS = [(name, {}) for name in SELECTORS] + [
@@ -29,6 +29,7 @@ OPTIONS = [(name, {}) for name in SELECTORS] + [
     ("corral", {"mixing": 0.0, "learning_rate": 5.0}),
     ("d3rb", {"confidence": 0.0}),
     ("epsilon_greedy", {"epsilon": 0.0}),
+    ("incumbent", {"rehearsal_share": 0.3, "takeover_error": 0.5}),
 ]
 
 
@@ -117,6 +118,7 @@ def test_draws_nothing_but_its_stream(case: tuple[str, dict[str, object]]) -> No
 SIZES: dict[str, Callable[[int, int], int]] = {
     "apel_recency": lambda n, _: 4 * n + 1,
     "apel_margin": lambda n, _: 3 * n + 1,
+    "incumbent": lambda n, _: (6 + 134) * n + 7,
     "apel_surprise": lambda n, _: 6 * n,
     "ssbas": lambda n, t: 5 * n + 8 + 2 * (t // 2 + 2),
     "sw_ucb": lambda n, t: 5 * n + 8 + 4 * (min(1000, t) + 1),
@@ -192,6 +194,10 @@ def test_only_esbas_freezes_policies() -> None:
         ("apel_recency", {"bound": 0.5}),
         ("apel_margin", {"strength": 1.5}),
         ("apel_surprise", {"memory": 0.0}),
+        ("incumbent", {"rehearsal_share": 0.0}),
+        ("incumbent", {"rehearsal_share": 1.0}),
+        ("incumbent", {"takeover_error": 0.001}),
+        ("incumbent", {"takeover_error": 0.6}),
     ],
 )
 def test_refuses_options_out_of_range(name: str, options: dict[str, object]) -> None:

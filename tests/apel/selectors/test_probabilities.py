@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apel.selection import Selector
+from apel.numerics.streams import stream_of_seed
+from apel.run.selection import Selector
 from apel.selectors import Corral, D3rb, DiscountedTs, DynamicTs, Ed2rb, Exp3, Exp3S
 from apel.selectors.thompson import beta
-from apel.streams import stream_of_seed
 from tests.apel.selectors.clock import Clock
 
 UNIT = (0.0, 1.0)

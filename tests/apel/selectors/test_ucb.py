@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apel.selection import Selector
+from apel.run.selection import Selector
 from apel.selectors import Agent57, DUcb, EpsilonGreedy, Esbas, Ssbas, SwUcb, Ucb1
+from apel.selectors.ssbas import view_state
+from apel.selectors.windows import Window, view_window
 from tests.apel.selectors import frozen
 from tests.apel.selectors.clock import Clock, bits, check_trace
 
@@ -234,20 +236,28 @@ def test_window_statistics_are_those_of_a_naive_recomputation(
         clock.observe(*history[-1])
         length = len(history) // 2 if window == "half" else min(int(window), len(history))
         inside = history[len(history) - length :]
-        begin, end = clock.rest[1], clock.rest[2]
-        assert (begin, end) == (len(history) - length, len(history))
+        carried = window_of(clock)
+        assert (carried.begin, carried.end) == (len(history) - length, len(history))
         played = [[p for k, p in inside if k == learner] for learner in range(num_learners)]
-        assert clock.rest[8 : 8 + 2 * num_learners] == [float(len(p)) for p in played] + [float(sum(p)) for p in played]
+        assert carried.num_selections.tolist() == [float(len(p)) for p in played]
+        assert carried.performance_sum.tolist() == [float(sum(p)) for p in played]
         if inside:
             assert extremes_of(clock) == (min(p for _, p in inside), max(p for _, p in inside))
 
 
+def window_of(clock: Clock) -> Window:
+    return view_window(view_state(clock.state, clock.num_learners).window, clock.num_learners)
+
+
 def extremes_of(clock: Clock) -> tuple[float, float]:
     """Least and largest performance by the two queues' heads."""
-    rest, n = clock.rest, clock.num_learners
-    capacity, ring = int(rest[0]), rest[8 + 2 * n :]
-    heads = (ring[2 * capacity + int(rest[4]) % capacity], ring[3 * capacity + int(rest[6]) % capacity])
-    return tuple(ring[2 * (int(episode) % capacity) + 1] for episode in heads)  # type: ignore[return-value]
+    window = window_of(clock)
+    capacity, rings = int(window.capacity[0]), window.rings.tolist()
+    heads = (
+        rings[2 * capacity + int(window.minima[0]) % capacity],
+        rings[3 * capacity + int(window.maxima[0]) % capacity],
+    )
+    return tuple(rings[2 * (int(episode) % capacity) + 1] for episode in heads)  # type: ignore[return-value]
 
 
 def test_fixed_bounds_clip_what_the_window_keeps() -> None:
@@ -256,4 +266,4 @@ def test_fixed_bounds_clip_what_the_window_keeps() -> None:
     draw = random.Random(0)
     for performance in (5.0, -1e6, 0.5, draw.random()):
         clock.observe(0, performance)
-    assert clock.rest[10] == pytest.approx(1.0 - 100.0 + 0.5 + random.Random(0).random())
+    assert window_of(clock).performance_sum[0] == pytest.approx(1.0 - 100.0 + 0.5 + random.Random(0).random())

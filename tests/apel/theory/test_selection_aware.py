@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from apel.numerics.streams import stream_of_seed
+from apel.run.selection import common_blocks
 from apel.selectors import Apel
-from apel.streams import stream_of_seed
 from apel.theory import closed_forms, curves, exact
 from apel.theory import selection_aware as aware
 from apel.theory.adaptation import AdaptationTimes, WindowCriterion, adaptation_time_distribution
@@ -207,9 +208,9 @@ class Play:
         self.stream = stream_of_seed(seed)
 
     def settle(self, steady: float) -> None:
-        self.state[self.num_learners :] = (
-            [1.0] + [0.0] * (self.num_learners - 1) + [steady] + [1.0] * (self.num_learners - 1)
-        )
+        state, others = common_blocks(self.state, self.num_learners), self.num_learners - 1
+        state.performance_estimate[:] = [1.0] + [0.0] * others
+        state.concentration[:] = [steady] + [1.0] * others
 
     def episode(self, performances: list[float]) -> int:
         selected = self.apel.select(self.parameters, self.num_learners, self.state, self.stream)
@@ -218,7 +219,7 @@ class Play:
 
     @property
     def concentration(self) -> list[float]:
-        return self.state[2 * self.num_learners :].tolist()
+        return common_blocks(self.state, self.num_learners).concentration.tolist()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""Off-policy algorithms of stable-baselines3 as base learners."""

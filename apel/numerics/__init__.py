@@ -1,0 +1,1 @@
+"""Compiling, random streams and rounding: what all numbers rest on."""

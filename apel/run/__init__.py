@@ -1,0 +1,1 @@
+"""One run under way: how far it is, whose turn it is."""

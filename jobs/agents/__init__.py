@@ -1,0 +1,1 @@
+"""Trained agents out of results: kept, or played again."""

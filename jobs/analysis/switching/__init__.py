@@ -1,0 +1,1 @@
+"""How late an ensemble notices that another learner has become the better one."""

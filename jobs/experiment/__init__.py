@@ -1,0 +1,1 @@
+"""An experiment: its file, its checks, its plan."""

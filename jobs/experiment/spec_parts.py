@@ -1,0 +1,93 @@
+"""The parts of an experiment file: its environment, its learners, its arms with their selectors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from apel.configs import ActingFloor, LearnsFrom, ObservationRule
+from jobs.experiment.limits import MAX_LEARNERS, Copies, Steps
+from jobs.experiment.names import Name, Text
+from jobs.experiment.yaml_schema import Plain
+
+STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+"""Of mappings whose fields are all known."""
+
+
+class Open(BaseModel):
+    """Fields that are not named here are options of what ``type`` names."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, Plain] = Field(init=False)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options."""
+        return dict(self.model_extra or {})
+
+
+class EnvironmentSpec(BaseModel):
+    """Which environment; see `apel.EnvironmentConfig`."""
+
+    model_config = STRICT
+
+    id: Text
+    options: dict[str, Plain] = {}
+    run_seed: Text | None = None
+    max_episode_steps: Steps | None = None
+    observations: ObservationRule = "check"
+
+
+class LearnerSpec(Open):
+    """A learner by registry key or import path, what it sees, its options; ``members`` are learners that it holds.
+
+    ``learns_from`` says whose episodes it learns from, see `apel.LearnerConfig`; ``start_from`` is the folder of an
+    exported agent, with whose learner it begins. ``num_gpus`` is the share of GPUs that its process gets; like all that
+    says where to run it changes no result.
+    """
+
+    type: Text
+    representation: dict[str, Plain] = {}
+    members: Annotated[list[Name], Field(max_length=MAX_LEARNERS)] = []
+    learns_from: LearnsFrom = "all"
+    start_from: Text | None = None
+    num_gpus: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+
+
+class SelectorSpec(Open):
+    """A selector by registry key or import path, its options, and how much each learner plays whatever it says."""
+
+    type: Text
+    acting_floor: ActingFloor | None = None
+
+
+class ArmSpec(BaseModel):
+    """One line in a figure: some learners (a list of names, or how many of each), and the selector of several.
+
+    ``start_from`` is the folder of an exported agent: each learner begins with the one of its name there.
+    """
+
+    model_config = STRICT
+
+    learners: Annotated[list[Name] | dict[Name, Copies], Field(min_length=1, max_length=MAX_LEARNERS)]
+    selector: SelectorSpec | None = None
+    start_from: Text | None = None
+
+    @property
+    def learner_names(self) -> list[str]:
+        """Every learner of the arm, in order; one that is there several times is named as often."""
+        if isinstance(self.learners, list):
+            return list(self.learners)
+        return [name for name, count in self.learners.items() for _ in range(count)]
+
+    @model_validator(mode="after")
+    def _has_selector(self) -> ArmSpec:
+        count = len(self.learners) if isinstance(self.learners, list) else sum(self.learners.values())
+        if count > MAX_LEARNERS:
+            message = f"found {count:,} learners, expected at most {MAX_LEARNERS:,}"
+            raise ValueError(message)
+        if count > 1 and self.selector is None:
+            message = f"found {count} learners and no selector, expected a selector that picks among them"
+            raise ValueError(message)
+        return self

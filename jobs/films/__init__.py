@@ -1,0 +1,1 @@
+"""Episodes of stored results as films."""

@@ -1,0 +1,1 @@
+"""The dissertation: all of its experiments, its claims, figures and pages."""

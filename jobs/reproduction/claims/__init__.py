@@ -1,0 +1,1 @@
+"""The ledger of claims: what the dissertation says, and what is measured."""

@@ -1,0 +1,154 @@
+"""Verdicts on what the dissertation says of its figures, each with a statistic and an interval.
+
+A claim holds where the whole 95 % interval lies on its side of the threshold, fails where the whole lies on the other,
+and is undecided in between. A claim on every run, or on none, fails with the first run that is otherwise. A claim that
+fails is a finding, and is reported as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from jobs.analysis.statistics.bootstrap import Estimate
+from jobs.experiment.spec import Experiment
+from jobs.experiment.yaml_source import SpecError
+from jobs.reproduction.claims import statistics as claim_statistics
+from jobs.reproduction.claims.claim import SWITCH_METRICS, Claim, Statistic
+from jobs.reproduction.claims.samples import Results
+from jobs.reproduction.claims.selection import MissingError, UnknownNameError
+from jobs.reproduction.claims.stored_results import StoredResults, identified, results_of
+from jobs.reproduction.claims.theories import setting_of
+from jobs.results.store import ResultStore
+
+MIN_RUNS = 5
+"""Fewer runs decide nothing but counterexamples: their bootstrap knows too little of the spread."""
+
+Ruling = Literal["holds", "fails", "undecided", "missing"]
+RULINGS: tuple[Ruling, ...] = ("holds", "fails", "undecided", "missing")
+_TIMES = {"train_time", "adaptation_time", *SWITCH_METRICS}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the results say of a claim.
+
+    Attributes
+    ----------
+    estimate:
+        None where results are missing.
+    num_runs, num_censored:
+        Runs that have all arms and points of the claim, and those of them that met the cap at one: their times are
+        lower bounds.
+    identity, folder:
+        Of the results that it comes from, and where they are; empty where there are none.
+    others:
+        Identities of results of the same name in another setting, where these are all that there are.
+    note:
+        What to heed.
+    """
+
+    claim: Claim
+    ruling: Ruling
+    estimate: Estimate[float] | None = None
+    num_runs: int = 0
+    num_censored: int = 0
+    identity: str = ""
+    folder: str = ""
+    others: tuple[str, ...] = ()
+    note: str = ""
+
+
+def evaluate(
+    claims: Iterable[Claim], stores: Iterable[ResultStore], experiments: Mapping[str, Experiment]
+) -> list[Verdict]:
+    """A verdict on each claim, from the results of the experiment that it is about.
+
+    Parameters
+    ----------
+    claims:
+        What is claimed.
+    stores:
+        Results of any experiments. Those of an experiment that only bears the same name, with a setting of its own, say
+        nothing of the claims.
+    experiments:
+        Those that the claims are about, by name.
+
+    Raises
+    ------
+    SpecError
+        If a claim names an arm or a column that its experiment does not have.
+    """
+    found = identified(stores)
+    own = {name: results_of(experiment, found) for name, experiment in experiments.items()}
+    results = {name: Results(store, experiments[name]) for name, store in own.items() if store is not None}
+    return [
+        _verdict(claim, results[claim.experiment])
+        if claim.experiment in results
+        else _without_results(claim, experiments[claim.experiment], found)
+        for claim in claims
+    ]
+
+
+def _without_results(claim: Claim, experiment: Experiment, found: Iterable[StoredResults]) -> Verdict:
+    others = tuple(sorted({one.identity for one in found if one.name == experiment.name}))
+    note = f"{experiment.name}: no results"
+    if others:
+        note += f" of {experiment.identity}; of another setting: {', '.join(others)}"
+    return Verdict(claim, "missing", others=others, note=note)
+
+
+def _verdict(claim: Claim, results: Results) -> Verdict:
+    identity, folder = results.experiment.identity, results.store.folder.location()
+    try:
+        estimate, num_runs, num_censored = _estimate(claim.statistic, results)
+    except MissingError as error:
+        return Verdict(claim, "missing", identity=identity, folder=folder, note=str(error))
+    except (UnknownNameError, ValueError) as error:
+        message = f"claim {claim.id}: {error}"
+        raise SpecError(message) from error
+    notes = []
+    if num_censored and claim.statistic.metric in _TIMES and claim.statistic.of != "share":
+        notes.append(f"{num_censored} of {num_runs} runs at the cap: their times are lower bounds")
+    if num_runs < MIN_RUNS:
+        notes.append(f"{num_runs} runs are too few to decide")
+    ruling = rule(claim, estimate, num_runs)
+    return Verdict(claim, ruling, estimate, num_runs, num_censored, identity, folder, note="; ".join(notes))
+
+
+def _estimate(statistic: Statistic, results: Results) -> tuple[Estimate[float], int, int]:
+    selected = results.select(statistic.selection)
+    sample, censored = selected.sample, selected.censored
+    if statistic.of == "share":
+        meets = np.zeros(sample.values.shape, dtype=np.bool_)
+        if statistic.below is not None:
+            meets |= sample.values < statistic.below
+        if statistic.censored:
+            meets |= selected.censored_at
+        estimate = claim_statistics.share(np.logical_and.reduce(meets, axis=(1, 2)))
+    elif statistic.theory is not None:
+        setting = setting_of(results.experiment, statistic.selection, sample.axis, statistic.since)
+        estimate = claim_statistics.against_theory(sample, statistic.of, statistic.over, statistic.theory, setting)
+    else:
+        estimate = claim_statistics.measured(
+            sample, statistic.of, statistic.over, median=statistic.location == "median"
+        )
+    return estimate, len(sample.values), int(censored.sum())
+
+
+def rule(claim: Claim, estimate: Estimate[float], num_runs: int) -> Ruling:
+    """Which side of the threshold the interval lies on. An end on the threshold is not below or above it."""
+    low, high = claim.bounds
+    if claim.direction in ("every", "none"):
+        holds, fails = estimate.value == low, estimate.value != low
+        return "fails" if fails else "holds" if holds and num_runs >= MIN_RUNS else "undecided"
+    if num_runs < MIN_RUNS:
+        return "undecided"
+    if claim.direction == "between":
+        holds, fails = low <= estimate.low and estimate.high <= high, estimate.high < low or estimate.low > high
+    else:
+        holds, fails = low < estimate.low and estimate.high < high, estimate.high <= low or estimate.low >= high
+    return "holds" if holds else "fails" if fails else "undecided"

@@ -1,0 +1,150 @@
+"""The ledger of claims as a table, as a page, on the terminal, and in files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from jobs.analysis.pages.escaping import markdown_cell
+from jobs.reproduction.claims.claim import Claim
+from jobs.reproduction.claims.judging import MIN_RUNS, RULINGS, Ruling, Verdict
+from jobs.results.storage import Folder
+
+_COLOURS: dict[Ruling, str] = {"holds": "green", "fails": "red", "undecided": "yellow", "missing": "dim"}
+
+
+def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+    """The ledger of claims, short: its page has the words. ``before`` is what was expected."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "before", "runs", "at cap"):
+        is_text = heading in {"claim", "claimed", "verdict", "before"}
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
+    for verdict in verdicts:
+        name, _, _, _, value, interval, claimed, ruling, expected, runs, censored, *_ = cells(verdict)
+        colour = _COLOURS[verdict.ruling]
+        table.add_row(name, value, interval, claimed, Text(ruling, style=colour), expected, runs, censored)
+    return table
+
+
+def source_lines(verdicts: Sequence[Verdict]) -> list[str]:
+    """Of each experiment the folder whose results were judged, or that all there are were left aside."""
+    lines = [
+        f"{verdict.claim.experiment}: {verdict.folder}" if verdict.folder else verdict.note
+        for verdict in verdicts
+        if verdict.folder or verdict.others
+    ]
+    return list(dict.fromkeys(lines))
+
+
+def write_ledger(folder: Folder, verdicts: Sequence[Verdict]) -> list[str]:
+    """Write ``claims.parquet`` and ``claims.md``; returns where they are."""
+    table = claims_table(verdicts)
+    folder.write_with("claims.parquet", lambda path: pq.write_table(table, path, filesystem=folder.filesystem))
+    folder.write("claims.md", claims_markdown(verdicts).encode())
+    return [folder.location(name) for name in ("claims.parquet", "claims.md")]
+
+
+def claims_table(verdicts: Sequence[Verdict]) -> pa.Table:
+    """One row per claim, for ``claims.parquet``."""
+    rows = [_row(verdict) for verdict in verdicts]
+    return pa.Table.from_pylist(rows, schema=_SCHEMA)
+
+
+def _row(verdict: Verdict) -> dict[str, object]:
+    claim, estimate = verdict.claim, verdict.estimate
+    low, high = (None if math.isinf(edge) else edge for edge in claim.bounds)
+    return {
+        "id": claim.id,
+        "source": claim.source,
+        "claim": claim.text,
+        "experiment": claim.experiment,
+        "identity": verdict.identity or None,
+        "folder": verdict.folder or None,
+        "statistic": str(claim.statistic),
+        "value": estimate.value if estimate else None,
+        "interval_low": estimate.low if estimate else None,
+        "interval_high": estimate.high if estimate else None,
+        "direction": claim.direction,
+        "threshold_low": low,
+        "threshold_high": high,
+        "verdict": verdict.ruling,
+        "expected": claim.expected,
+        "runs": verdict.num_runs,
+        "censored": verdict.num_censored,
+        "note": verdict.note,
+    }
+
+
+_TEXTS = ("id", "source", "claim", "experiment", "identity", "folder", "statistic")
+_NUMBERS = ("value", "interval_low", "interval_high")
+_SCHEMA = pa.schema(
+    [(name, pa.string()) for name in _TEXTS]
+    + [(name, pa.float64()) for name in _NUMBERS]
+    + [("direction", pa.string()), ("threshold_low", pa.float64()), ("threshold_high", pa.float64())]
+    + [("verdict", pa.string()), ("expected", pa.string()), ("runs", pa.int64()), ("censored", pa.int64())]
+    + [("note", pa.string())]
+)
+HEADINGS = (
+    "claim", "figure", "what is claimed", "statistic", "value", "95 % interval", "claimed", "verdict", "expected",
+    "runs", "censored", "note", "results",
+)  # fmt: skip
+
+
+def cells(verdict: Verdict) -> list[str]:
+    """A verdict as text, one cell for each of `HEADINGS`."""
+    claim, estimate = verdict.claim, verdict.estimate
+    has_runs = verdict.num_runs > 0
+    return [
+        claim.id,
+        claim.source,
+        claim.text,
+        str(claim.statistic),
+        _number(estimate.value) if estimate else "-",
+        f"{_number(estimate.low)} to {_number(estimate.high)}" if estimate else "-",
+        _claimed(claim),
+        verdict.ruling,
+        claim.expected,
+        str(verdict.num_runs) if has_runs else "-",
+        str(verdict.num_censored) if has_runs else "-",
+        verdict.note,
+        verdict.folder or "-",
+    ]
+
+
+def count_line(verdicts: Sequence[Verdict]) -> str:
+    """How many claims hold, fail, and so on."""
+    counts = {ruling: sum(verdict.ruling == ruling for verdict in verdicts) for ruling in RULINGS}
+    return f"{len(verdicts)} claims: " + ", ".join(f"{count} {ruling}" for ruling, count in counts.items())
+
+
+def claims_markdown(verdicts: Sequence[Verdict]) -> str:
+    """The ledger as a page."""
+    rows = [list(HEADINGS), ["---"] * len(HEADINGS), *(cells(verdict) for verdict in verdicts)]
+    lines = ["| " + " | ".join(map(markdown_cell, row)) + " |" for row in rows]
+    legend = (
+        "A claim holds where the whole 95 % interval lies on the claimed side, fails where the whole lies on the "
+        "other, and is undecided otherwise. A claim on every run, or on none, fails with the first run that is "
+        f"otherwise. Fewer than {MIN_RUNS} runs decide only that. Arms of one experiment share their runs, and are "
+        "compared in pairs. Censored runs count with their cap, which is a lower bound."
+    )
+    return "\n".join(["# Claims", "", f"{count_line(verdicts)}.", "", legend, "", *lines, ""])
+
+
+def _claimed(claim: Claim) -> str:
+    if isinstance(claim.threshold, tuple):
+        return f"{claim.threshold[0]:g} to {claim.threshold[1]:g}"
+    if claim.threshold is None:
+        return {"every": "every run", "none": "no run"}[claim.direction]
+    return f"{'<' if claim.direction == 'below' else '>'} {claim.threshold:g}"
+
+
+def _number(value: float) -> str:
+    if 1000 <= abs(value) < math.inf:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) >= 1 else f"{value:.3g}"

@@ -1,0 +1,1 @@
+"""The results of an experiment: where they lie, who writes them, what stands in them."""

@@ -1,0 +1,204 @@
+"""Digests of classes and functions that stand in no module with a file: a script's own, and a notebook's.
+
+What counts is what is run: the compiled code, with whatever it names (functions, classes, constants of the script,
+what it closes over, defaults), as all of these are at that moment. Comments, docstrings of functions, positions and the
+rest of the script do not count, so that it may plot something else, or ask for more runs, and still go on with its
+results.
+Compiled code differs between minor versions of Python; under another one a script's experiment is another one.
+"""
+
+from __future__ import annotations
+
+import dis
+import functools
+import hashlib
+import inspect
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import cloudpickle
+import numpy as np
+
+from jobs.experiment.user_modules import OURS, is_installed_in
+
+_DIGITS = 16
+_MADE_BY_PYTHON = (
+    "__module__", "__dict__", "__weakref__", "__doc__", "__firstlineno__", "__static_attributes__", "_abc_impl",
+    "__abstractmethods__", "__dataclass_fields__", "__dataclass_params__", "__annotations__", "__annotate__",
+    "__slots__",
+)  # fmt: skip
+_KIND = (
+    inspect.CO_VARARGS | inspect.CO_VARKEYWORDS | inspect.CO_GENERATOR | inspect.CO_COROUTINE
+    | inspect.CO_ITERABLE_COROUTINE | inspect.CO_ASYNC_GENERATOR
+)  # fmt: skip
+"""Flags that say what a function is; others say how it was compiled."""
+_PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
+
+
+class CodeReader:
+    """Reads what parts of an experiment rest on.
+
+    Attributes
+    ----------
+    modules:
+        Names of the user's modules with files that the parts come from, or that they name: their files are digested
+        whole (`jobs.experiment.user_modules`).
+    """
+
+    def __init__(self) -> None:
+        self.modules: set[str] = set()
+        self._seen: dict[int, int] = {}
+        self._kept: list[Any] = []
+
+    def digest(self, part: Any) -> str:
+        """16 hexadecimal digits for a class or function."""
+        self._seen.clear()
+        text = json.dumps(self._told(part))
+        return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+
+    def _told(self, value: Any) -> Any:
+        """What a value is, in lists and texts."""
+        if isinstance(value, _PLAIN):
+            return [type(value).__name__, repr(value)]
+        if not isinstance(value, tuple | frozenset):  # of constants, those that are equal may be one or not
+            if id(value) in self._seen:
+                return ["again", self._seen[id(value)]]
+            self._seen[id(value)] = len(self._seen)
+            self._kept.append(value)  # or its identity could become another value's
+        return [type(value).__name__, *self._parts(value)]
+
+    def _parts(self, value: Any) -> Iterator[Any]:
+        match value:
+            case list() | tuple():
+                yield from map(self._told, value)
+            case dict():
+                yield from ([self._told(key), self._told(inner)] for key, inner in value.items())
+            case set() | frozenset():
+                yield from sorted(json.dumps(CodeReader()._told(one)) for one in value)
+            case np.ndarray():
+                told = value.tolist() if value.dtype == object else hashlib.sha256(value.tobytes()).hexdigest()
+                yield from (str(value.dtype), list(value.shape), self._told(told))
+            case ModuleType():
+                yield value.__name__
+                self._note(value.__name__)
+            case functools.partial():
+                yield from map(self._told, (value.func, value.args, value.keywords))
+            case staticmethod() | classmethod() | MethodType():
+                yield from map(self._told, (value.__func__, getattr(value, "__self__", None)))
+            case property():
+                yield from map(self._told, (value.fget, value.fset, value.fdel))
+            case FunctionType() | type() | BuiltinFunctionType():
+                yield from self._named(value)
+            case _:
+                yield from self._instance(value)
+
+    def _named(self, value: Any) -> Iterator[Any]:
+        yield value.__qualname__
+        self._note(value.__module__)
+        if isinstance(value, BuiltinFunctionType) or is_importable(value):
+            yield value.__module__
+        elif isinstance(value, FunctionType):
+            yield from self._function(value)
+        else:
+            yield from self._class(value)
+
+    def _function(self, function: FunctionType) -> Iterator[Any]:
+        yield self._code(function.__code__, function.__doc__)
+        yield from map(self._told, (function.__defaults__, function.__kwdefaults__, vars(function)))
+        yield [_content(cell) and self._told(cell.cell_contents) for cell in function.__closure__ or ()]
+        names = sorted(set(_global_names(function.__code__)))
+        for name in names:
+            if name in function.__globals__:
+                value = function.__globals__[name]
+                yield [name, self._told(value)]
+                if isinstance(value, ModuleType):  # ``import package.module`` binds the package alone
+                    for inner in _attribute_names(function.__code__):
+                        self._note(f"{value.__name__}.{inner}")
+
+    def _code(self, code: CodeType, doc: str | None = None) -> list[Any]:
+        constants = [self._code(one) if isinstance(one, CodeType) else self._told(one) for one in code.co_consts]
+        if doc is not None and code.co_consts and code.co_consts[0] == doc:
+            constants = constants[1:]
+        names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+        counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags & _KIND)
+        return [code.co_code.hex(), code.co_exceptiontable.hex(), constants, names, counts]
+
+    def _class(self, kind: type) -> Iterator[Any]:
+        yield [self._told(base) for base in kind.__bases__]
+        yield self._told(type(kind))
+        yield [[name, str(annotation)] for name, annotation in inspect.get_annotations(kind).items()]
+        members = {name: member for name, member in vars(kind).items() if name not in _MADE_BY_PYTHON}
+        for name in sorted(members):
+            is_slot = inspect.ismemberdescriptor(members[name]) or inspect.isgetsetdescriptor(members[name])
+            if not is_slot and not name.startswith("__pydantic"):
+                yield [name, self._told(members[name])]
+
+    def _instance(self, value: Any) -> Iterator[Any]:
+        yield self._told(type(value))
+        wrapped = getattr(value, "__wrapped__", None) or getattr(value, "py_func", None)  # functools' and numba's
+        if wrapped is not None:
+            yield self._told(wrapped)
+        elif not is_importable(type(value)) and hasattr(value, "__dict__"):
+            yield self._told(vars(value))
+        else:
+            yield hashlib.sha256(cloudpickle.dumps(value)).hexdigest()
+
+    def _note(self, module: str | None) -> None:
+        if module in sys.modules and module != "__main__" and not is_installed(module):
+            self.modules.add(module)
+
+
+def folder_of(module: str) -> Path:
+    """The folder in which the top-level module or package of an imported module lies."""
+    file = Path(str(sys.modules[module].__file__)).resolve()
+    depth = module.count(".") + (file.name == "__init__.py")
+    return file.parents[depth]
+
+
+def is_importable(part: Any) -> bool:
+    """Whether its import path stands for this very class or function, in a module that other processes can find."""
+    module = getattr(part, "__module__", None)
+    found = sys.modules.get(module) if module is not None and module != "__main__" else None
+    for name in getattr(part, "__qualname__", "<none>").split("."):
+        found = getattr(found, name, None)
+    return found is part
+
+
+def is_installed(module: str) -> bool:
+    """Whether a module that has been imported is Python's, ours, or an installed package's."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return module.split(".")[0] in OURS or file is None or is_installed_in(Path(file).resolve())
+
+
+def _content(cell: Any) -> bool:
+    try:
+        return cell.cell_contents is not None
+    except ValueError:  # not filled yet
+        return False
+
+
+def _global_names(code: CodeType) -> Iterator[str]:
+    for instruction in dis.get_instructions(code):
+        if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+            yield instruction.argval
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _global_names(constant)
+
+
+def _attribute_names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _attribute_names(constant)
+
+
+def digests_of(parts: Mapping[str, Any]) -> tuple[dict[str, str], set[str]]:
+    """Name → digest of the parts that stand in no file, and the user's modules that all of them rest on."""
+    reader = CodeReader()
+    digests = {name: reader.digest(part) for name, part in parts.items()}
+    return {name: one for name, one in digests.items() if not is_importable(parts[name])}, reader.modules

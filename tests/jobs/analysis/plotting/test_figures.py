@@ -1,0 +1,206 @@
+"""Figures: every kind is drawn, from the rows that it asks for, and always alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+import pytest
+from PIL import Image
+
+from jobs.analysis.plotting import style
+from jobs.analysis.plotting.figures import draw_figures
+from jobs.analysis.plotting.samples import samples, selected
+from jobs.analysis.recorded_episodes import moving_mean
+from jobs.experiment.figures import ArmPlot
+from jobs.experiment.spec import Experiment
+from jobs.experiment.spec_files import load_experiment, shipped_experiments
+from jobs.experiment.yaml_source import SpecError
+from jobs.results.storage import Folder
+from jobs.results.store import ResultStore
+from jobs.runner import Settings, run_experiment
+
+SPEC = """
+name: synthetic
+runs: 8
+episodes: 100
+environment: {id: apel/Maze-v0, options: {optimal_length: [16, 18]}}
+learners:
+  Q_1: {type: q_learning, exploration: 0.4}
+  Q_2: {type: q_learning, exploration: {before: 0.8, episode: 20, after: 0.01}}
+arms:
+  Q_1: {learners: [Q_1]}
+  Q_2: {learners: [Q_2]}
+  APEL: {learners: [Q_1, Q_2], selector: {type: apel, decay: 0.01}}
+hindsight: {oracle: [Q_1, Q_2]}
+sweep:
+  decay: {arms.APEL.selector.decay: [0.0, 0.01, 0.1]}
+  window: {criterion.window: [10, 20]}
+criterion: {measure: length, window: 10, below: {factor: 1.1, info: optimal_length}, after: 20}
+steady_state_episodes: 10
+record: none
+plots:
+"""
+
+EPISODES = """
+  - {kind: curves, name: learners, arms: [APEL], panels: [return, length, concentration, probability],
+     switch_episode: 30, theory: [growth_formula]}
+  - {kind: curves, name: arms, panels: [return], smooth: 5}
+"""
+
+
+def write_spec(path: Path, plots: str) -> str:
+    """The file of the synthetic experiment with these plots."""
+    file = path / "synthetic.yaml"
+    file.write_text(SPEC + plots)
+    return str(file)
+
+
+def synthetic(path: Path, plots: str) -> tuple[ResultStore, Experiment]:
+    """Made-up rows of the synthetic experiment."""
+    draws = np.random.default_rng(0)
+    rows = []
+    for arm, decays in (("Q_1", [None]), ("Q_2", [None]), ("APEL", [0.0, 0.01, 0.1]), ("oracle", [None])):
+        for decay in decays:
+            for window in (10, 20):
+                label = f"window={window}" if decay is None else f"decay={decay}, window={window}"
+                for run, time in enumerate(draws.integers(30, 120, 8)):
+                    rows.append(
+                        {
+                            "arm": arm,
+                            "sweep": label,
+                            "run_index": run,
+                            "train_time": min(int(time), 100),
+                            "censored": bool(time > 100),
+                            "adaptation_time": min(int(time), 100) - 20,
+                            "steady_state": -float(time) * (10 if arm == "Q_2" else 1),
+                            "decay": decay,
+                            "window": window,
+                        }
+                    )
+    store = ResultStore(Folder(str(path / "results")))
+    store.write_table("runs.parquet", pa.Table.from_pylist(rows))
+    return store, load_experiment(write_spec(path, plots))
+
+
+def pictures(paths: list[str]) -> dict[str, bytes]:
+    """Content by file name; every PNG shows something."""
+    for path in paths:
+        if path.endswith(".png"):
+            assert np.asarray(Image.open(path).convert("L")).std() > 10
+    return {Path(path).name: Path(path).read_bytes() for path in paths}
+
+
+PLOTS = """
+  - {kind: bars, name: upright, where: {window: [10], decay: [0.01]}}
+  - {kind: bars, name: lying, metric: steady_state}
+  - {kind: bars, name: panels, arms: [Q_1, Q_2, oracle, APEL], metric: adaptation_time}
+  - {kind: distributions, name: distributions, arms: [oracle, Q_1], metric: adaptation_time}
+  - {kind: survival, name: survival, arms: [Q_1, oracle]}
+  - {kind: lines, name: over_decay, x: decay, x_scale: log, y_scale: log, metric: adaptation_time,
+     arms: [APEL], theory: [adaptation_formula, adaptation_model]}
+  - {kind: lines, name: level, x: decay, metric: steady_state, theory: [performance_formula, performance_model],
+     returns: [-2.3, -100.0]}
+  - {kind: lines, name: split, x: window, metric: train_time}
+"""
+
+
+def test_dollars_are_no_formula(tmp_path: Path) -> None:
+    """A user's title and labels may hold any text; the numbers of a logarithmic axis are still drawn as powers."""
+    hostile = r"$\undefined{$ and $x$"
+    with style.pyplot() as plt:
+        figure, axes = plt.subplots()
+        axes.loglog([1, 1000], [1, 1000], label=hostile)
+        axes.set_xlabel(hostile)
+        axes.legend()
+        style.title(figure, hostile)
+        written = style.save(Folder(str(tmp_path)), figure, "hostile")
+        assert all(Path(path).exists() for path in written)
+        assert any("mathdefault" in label.get_text() for label in axes.get_xticklabels())
+
+
+def test_every_kind_over_arms_is_drawn(tmp_path: Path) -> None:
+    """PNG and SVG of every plot, byte for byte the same when drawn again."""
+    store, experiment = synthetic(tmp_path, PLOTS)
+    first = pictures(draw_figures(store, experiment))
+    assert set(first) == {f"{plot.name}.{kind}" for plot in experiment.plots for kind in ("png", "svg")}
+    assert b"<dc:date>" not in first["upright.svg"]
+    some = [plot for plot in experiment.plots if plot.name in ("upright", "over_decay")]
+    again = pictures(draw_figures(store, experiment.model_copy(update={"plots": some})))
+    assert again.items() <= first.items()
+
+
+def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> None:
+    """Of arms, of learners; nothing where no episodes were recorded."""
+    small.write_text(small.read_text() + "plots:" + EPISODES)
+    experiment = load_experiment(str(small))
+    settings = Settings(results=str(tmp_path / "results"), placement="local")
+    store = run_experiment(experiment, settings).store
+    drawn = pictures(draw_figures(store, experiment))
+    assert set(drawn) == {"learners.png", "learners.svg", "arms.png", "arms.svg"}
+    store.folder.delete_folder("episodes")
+    assert draw_figures(store, experiment) == []
+
+
+def test_train_times_are_drawn_where_nothing_is_named(tmp_path: Path) -> None:
+    """Bars and distributions; nothing where an experiment has no criterion either."""
+    store, experiment = synthetic(tmp_path, " []")
+    runs = store.runs()
+    store.write_table("runs.parquet", runs.filter(pa.compute.equal(runs["arm"], "oracle")))
+    drawn = pictures(draw_figures(store, experiment))
+    assert {"train_time.png", "train_time_distribution.svg"} < set(drawn)
+    assert draw_figures(store, experiment.model_copy(update={"criterion": None})) == []
+
+
+def test_rows_are_picked_and_ordered(tmp_path: Path) -> None:
+    """`arms` orders; `where` compares numbers and text alike, and keeps rows without a value."""
+    store, experiment = synthetic(tmp_path, " []")
+    plot = ArmPlot(kind="bars", name="x", arms=["oracle", "APEL"], where={"decay": ["0.010", 0.1], "window": ["10"]})
+    shown = samples(selected(store.runs(), plot, experiment), "adaptation_time")
+    assert [one.label for one in shown] == [
+        "oracle\nwindow=10",
+        "APEL\ndecay=0.01, window=10",
+        "APEL\ndecay=0.1, window=10",
+    ]
+    runs = store.runs().to_pandas()
+    rows = runs[(runs["arm"] == "oracle") & (runs["window"] == 10)]
+    assert shown[0].mean == pytest.approx(rows["adaptation_time"].mean())
+    assert shown[0].num_censored == rows["censored"].sum()
+
+
+def test_moving_mean_is_of_each_run() -> None:
+    """Of the last values, fewer at the beginning; what is unknown stays so and does not count."""
+    values = np.array([[1.0, 3.0, 5.0, 7.0], [2.0, np.nan, 4.0, 8.0]])
+    np.testing.assert_array_equal(moving_mean(values, 2), [[1.0, 2.0, 4.0, 6.0], [2.0, np.nan, 4.0, 6.0]])
+
+
+@pytest.mark.parametrize(
+    ("plot", "message"),
+    [
+        ("{kind: bars, name: a, arms: [Q_3]}", "plots.0.arms: found 'Q_3', expected one of ['APEL', 'Q_1'"),
+        ("{kind: bars, name: a, where: {decays: [0.1]}}", "plots.0.where: found 'decays', expected one of ['decay'"),
+        ("{kind: lines, name: a, metric: train_time, x: nu}", "plots.0.x: found 'nu', expected one of ['decay', 'wi"),
+        ("{kind: lines, name: a, metric: adaptation_time, x: window, theory: [adaptation_model]}", "an axis of decays"),
+        ("{kind: lines, name: a, metric: steady_state, x: decay, theory: [adaptation_model]}", "of what is drawn"),
+        ("{kind: curves, name: a, panels: [concentration]}", "found concentration of 4 arms, expected exactly one arm"),
+        (
+            "{kind: curves, name: a, panels: [return], theory: [performance_model]}",
+            "expected one of ['growth_formula']",
+        ),
+        ("{kind: bars, name: a}\n  - {kind: bars, name: a}", "plots.1.name: found 'a' for a second time"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path, plot: str, message: str) -> None:
+    """One line, with the line of the file."""
+    with pytest.raises(SpecError) as caught:
+        load_experiment(write_spec(tmp_path, f"  - {plot}"))
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert "synthetic.yaml:2" in str(caught.value)
+
+
+def test_shipped_plots_can_be_drawn() -> None:
+    """Names and axes of all of them are known."""
+    assert all(load_experiment(name).plots for name in shipped_experiments())
