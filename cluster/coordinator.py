@@ -161,7 +161,7 @@ class Coordinator:
                 clock.written(now, time.monotonic(), state.num_episodes())
             if stopping:
                 return
-            if now - last_report >= self._execution.progress_seconds:
+            if state.is_running() and now - last_report >= self._execution.progress_seconds:
                 yield state.progress(round_seconds, clock.seconds)
                 last_report = time.monotonic()
         yield state.progress(round_seconds, clock.seconds)

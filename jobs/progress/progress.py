@@ -83,7 +83,7 @@ class JobProgress:
     def progressed(self, shard: Shard, event: ShardEvent) -> None:
         """Take in what is told of a shard."""
         if isinstance(event, ShardProgress):
-            self._last[shard.key] = event
+            self._last[shard.key] = _with_latest_episodes(event, self._last.get(shard.key, _NOTHING))
         elif isinstance(event, ShardDone):
             self._last[shard.key] = _completed(shard, event, self._last.get(shard.key, _NOTHING))
         elif isinstance(event, ShardRestarted):
@@ -128,6 +128,11 @@ class JobProgress:
             mean_return=_ratio(sum(report.episode_return for report in reports), num_played),
             mean_train_time=_ratio(sum(report.train_time for report in reports), trained),
         )
+
+
+def _with_latest_episodes(report: ShardProgress, last: ShardProgress) -> ShardProgress:
+    """The report; where nothing was played since the one before, with its episodes, still the latest."""
+    return report if any(report.played) else replace(report, played=last.played, episode_return=last.episode_return)
 
 
 def _completed(shard: Shard, done: ShardDone, last: ShardProgress) -> ShardProgress:

@@ -33,6 +33,15 @@ def test_a_shard_ends_with_its_rows(small: Path) -> None:
     assert done.steps == memory.runs.steps.sum()
 
 
+def test_every_report_tells_of_episodes(small: Path) -> None:
+    """However short the time between two: the last of a shard, too, tells how the episodes before it went."""
+    memory = Memory()
+    coordinator = Coordinator(LocalHosts(), memory, memory, Execution(progress_seconds=0.0))
+    *reports, _ = coordinator.run(shard_of(small))
+    assert len(reports) > 1
+    assert all(sum(report.played) > 0 for report in reports if isinstance(report, ShardProgress))
+
+
 def test_users_code_plays(small: Path) -> None:
     """A user's environment, learner, plain-Python selector and measure play beside ours."""
     overrides = (

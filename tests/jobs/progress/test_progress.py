@@ -117,6 +117,18 @@ def test_end_of_a_shard(shards: list[Shard]) -> None:
     assert progress.as_json()["restarts"] == 1
 
 
+def test_report_without_an_episode(shards: list[Shard]) -> None:
+    """The latest episodes are those of the report before, until others were played; also once the shard is over."""
+    progress = JobProgress()
+    progress.planned(shards, [])
+    shard = next(shard for shard in shards if shard.arm.arm == "APEL")
+    progress.progressed(shard, ShardProgress(0, 20, 90, played=(15, 5), episode_return=-30.0))
+    progress.progressed(shard, ShardProgress(3, 240, 90, played=(0, 0), episode_return=0.0))
+    progress.progressed(shard, ShardDone((), 1000, 2.0, 7))
+    arm = progress.arms()["APEL"]
+    assert (arm.runs_done, arm.mean_return, arm.selection_share) == (3, -1.5, {"Q_full": 0.75, "Q_red": 0.25})
+
+
 def test_return_that_is_no_number(shards: list[Shard]) -> None:
     """A mean that is no number is none: JSON has no word for it."""
     progress = JobProgress()
