@@ -48,6 +48,11 @@ class Curves:
         found[self._place] = rows.reshape(-1, *shape[2:])
         return found
 
+    @property
+    def has_ended_runs(self) -> bool:
+        """Whether some runs ended before others."""
+        return len(self._place[0]) < self.num_runs * len(self.episodes)
+
     @cached_property
     def ends(self) -> Floats:
         """``float64[runs, episodes]``: environment steps of the run at the end of each episode; NaN after its last.

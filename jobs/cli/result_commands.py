@@ -101,6 +101,7 @@ def claims(
         list[str] | None, typer.Argument(help="Folders of results, or of an experiment's. Default: results.")
     ] = None,
     output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Also those of whose experiment there are no results.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Hold what the dissertation claims against the results, from the files alone."""
@@ -115,7 +116,7 @@ def claims(
     if as_json:
         print_for_programs(claims_table(verdicts).to_pylist())
         return
-    _show_verdicts(verdicts)
+    _show_verdicts(verdicts, every=every)
     for path in written:
         OUT.print(path, highlight=False)
 
@@ -228,10 +229,13 @@ def write_and_show_reproduction(results: str, stores: list[ResultStore], group: 
         OUT.print(folder.location(name), highlight=False)
 
 
-def _show_verdicts(verdicts: Sequence[Verdict]) -> None:
+def _show_verdicts(verdicts: Sequence[Verdict], *, every: bool = True) -> None:
     from jobs.reproduction.claims.ledger import count_line, source_lines, verdict_table
 
-    OUT.print(verdict_table(verdicts))
+    shown = [one for one in verdicts if every or one.ruling != "missing"]
+    OUT.print(verdict_table(shown))
+    if left_out := len(verdicts) - len(shown):
+        OUT.print(f"{left_out} claims without results are left out; --all shows them", highlight=False)
     for line in source_lines(verdicts):
         OUT.print(line, highlight=False, markup=False)
     OUT.print(count_line(verdicts), highlight=False)

@@ -25,7 +25,9 @@ _PAGE = Template("""<!doctype html>
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <title>$title</title>
 <style>
-  body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 64rem; margin: 0 auto; padding: 1rem; }
+  :root { color-scheme: light dark; }
+  body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; }
+  body { max-width: 64rem; margin: 0 auto; padding: 1rem; }
   h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; } h3 { font-size: 1rem; }
   .wide { overflow-x: auto; }
   table { border-collapse: collapse; font-size: .9rem; }
@@ -36,9 +38,14 @@ _PAGE = Template("""<!doctype html>
   .holds { color: #00664b; font-weight: 600; } .fails { color: #b04400; font-weight: 600; }
   .undecided, .missing { color: #666; }
   figure { margin: 1rem 0; }
-  img { max-width: 100%; height: auto; }
+  img { width: min(100%, 52rem); height: auto; background: #fff; }
   pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
   summary { cursor: pointer; color: #0059a3; }
+  @media (prefers-color-scheme: dark) {
+    body { color: #ddd; background: #181a1b; } th, td { border-bottom-color: #3a3d3f; } pre { background: #242729; }
+    .holds { color: #4cc38a; } .fails { color: #f0883e; } .undecided, .missing { color: #999; }
+    summary { color: #6cb6ff; }
+  }
 </style>
 </head>
 <body>

@@ -23,9 +23,10 @@ def write_report(store: ResultStore, answer: Sequence[str] | None = None) -> str
     about = f"Experiment <code>{experiment.name}</code>, identity <code>{experiment.identity}</code>"
     body = [
         f"<p>{about}{html.escape(figures)}. {runs} runs per arm, seed {experiment.seed}.</p>",
+        "<h2>Answer</h2>",
+        _answer(_lines(store) if answer is None else answer),
         "<h2>Results</h2>",
         page.results(store, experiment),
-        _answer(_lines(store) if answer is None else answer),
         *page.pictures(store, experiment),
         "<h2>What it rests on</h2>",
         page.spec(experiment),

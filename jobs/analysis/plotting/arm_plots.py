@@ -16,7 +16,7 @@ from jobs.experiment.spec import Experiment
 _MOST_UPRIGHT = 8
 _NUM_BINS = 25
 _WIDE = 20
-_HOW_TO_READ = "mean, 95 % interval (thick), SD (thin)"
+_HOW_TO_READ = "mean, 95 % interval (thick), SD within the runs' range (thin)"
 
 
 def draw(plt: Any, runs: Any, plot: ArmPlot, experiment: Experiment) -> Any:
@@ -35,7 +35,7 @@ def _bars(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experiment) 
     palette, limit = style.colours(experiment), cap(experiment, plot.metric)
     for position, one in enumerate(shown):
         axes.bar(position, one.mean, width=0.62, color=palette[one.arm], alpha=0.75)
-        axes.errorbar(position, one.mean, yerr=one.deviation, color="#333333", linewidth=0.9, capsize=5)
+        axes.errorbar(position, one.mean, yerr=_whiskers(one), color="#333333", linewidth=0.9, capsize=5)
         axes.plot([position] * 2, one.interval, color="black", linewidth=4, solid_capstyle="butt")
     labels = [_with_cap(one) for one in shown]
     axes.set_xticks(range(len(shown)), labels)
@@ -87,14 +87,12 @@ def _lying_panel(axes: Any, panel: list[Sample], places: list[int], plot: ArmPlo
     palette = style.colours(experiment)
     is_wide = _is_wide(panel, plot)
     axes.set_xscale("log" if is_wide else "linear")
-    lowest = 0.7 * min(one.interval[0] for one in panel)
     for place, one in zip(places, panel, strict=True):
         if is_wide:  # a bar's length means nothing on such a scale
             axes.plot(one.mean, place, "o", ms=7, color=palette[one.arm], markeredgecolor="black", zorder=4)
         else:
             axes.barh(place, one.mean, height=0.68, color=palette[one.arm], alpha=0.75)
-        left = one.mean - max(one.mean - one.deviation, lowest) if is_wide else one.deviation
-        axes.errorbar(one.mean, place, xerr=[[left], [one.deviation]], color="#333333", linewidth=0.8, capsize=2)
+        axes.errorbar(one.mean, place, xerr=_whiskers(one), color="#333333", linewidth=0.8, capsize=2)
         axes.plot(one.interval, [place] * 2, color="black", linewidth=3, solid_capstyle="butt")
         if one.num_censored:
             axes.text(
@@ -112,6 +110,12 @@ def _lying_panel(axes: Any, panel: list[Sample], places: list[int], plot: ArmPlo
     if plot.metric != "steady_state":
         axes.set_xlim(0, None)
     axes.locator_params(axis="x", nbins=5)
+
+
+def _whiskers(one: Sample) -> list[list[float]]:
+    """How far the spread reaches below and above the mean, as matplotlib takes it."""
+    low, high = one.spread
+    return [[one.mean - low], [high - one.mean]]
 
 
 def _is_wide(panel: list[Sample], plot: ArmPlot) -> bool:

@@ -1,4 +1,6 @@
-"""What happens from episode to episode (Figures 4.4, 4.5, 4.19): mean ± standard deviation over runs."""
+"""What happens from episode to episode (Figures 4.4, 4.5, 4.19): mean ± standard deviation over runs, of those that
+are not over; a line ends where half of them are.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,6 @@ Y_LABELS = {
     "probability": "selection probability",
 }
 PER_LEARNER = ("concentration", "probability")
-LEARNER_COLOURS = ("#0072B2", "#D55E00", *style.COLOURS)
 _LEAST_SHARE = 0.5
 _FEW_POINTS = 30
 
@@ -57,7 +58,8 @@ def draw(plt: Any, folder: Folder, runs: Any, plot: CurvePlot, experiment: Exper
 def _finish(figure: Any, all_axes: Any, curves: dict[Any, Curves], plot: CurvePlot, experiment: Experiment) -> None:
     num_runs = max(each.num_runs for each in curves.values())
     smooth = f", moving mean of {plot.smooth} recorded episodes" if plot.smooth > 1 else ""
-    how = f"mean of {num_runs} runs (line) ± SD (shaded){smooth}"
+    over = "" if not any(each.has_ended_runs for each in curves.values()) else ", of those that are not over"
+    how = f"mean of {num_runs} runs{over} (line) ± SD within their range (shaded){smooth}"
     if {"return", "length"} & set(plot.panels) and len(plot.panels) > 1:
         for axes in all_axes:
             if axes.get_legend_handles_labels()[0]:
@@ -84,8 +86,8 @@ def _learners(axes: Any, curves: dict[Any, Curves], quantity: str, plot: CurvePl
     (arm, sweep), each = next(iter(curves.items()))
     values = each.values(quantity)
     names = numbered(experiment.arms[arm].learner_names)
-    for position, name in enumerate(names):
-        colour = LEARNER_COLOURS[position % len(LEARNER_COLOURS)]
+    palette = style.learner_colours(experiment, arm)
+    for position, (name, colour) in enumerate(zip(names, palette, strict=True)):
         _line(axes, each, values[..., position], plot, name, colour, position)
     if quantity == "probability":
         axes.set_ylim(0, 1)
@@ -129,7 +131,9 @@ def _line(axes: Any, each: Curves, values: Floats, plot: CurvePlot, label: str, 
     linestyle = style.LINESTYLES[number % len(style.LINESTYLES)]
     marker = style.MARKERS[number % len(style.MARKERS)]
     every = max(1, len(episodes) // 8)
-    axes.fill_between(episodes, mean - spread, mean + spread, color=colour, alpha=0.18, linewidth=0)
+    low = np.maximum(mean - spread, np.nanmin(values, axis=0))
+    high = np.minimum(mean + spread, np.nanmax(values, axis=0))
+    axes.fill_between(episodes, low, high, color=colour, alpha=0.18, linewidth=0)
     axes.plot(
         episodes, mean, color=colour, linestyle=linestyle, linewidth=1.5, marker=marker, ms=4.5,
         markevery=1 if len(episodes) <= _FEW_POINTS else (number * every // 8, every), label=label,

@@ -131,13 +131,10 @@ def _line(axes: Any, one: _Series, colour: str, look: int, label: str) -> None:
         axes.axhline(means[0], color=colour, linestyle=linestyle, linewidth=1.4, label=f"{label} alone")
         axes.axhspan(low[0], high[0], color=colour, alpha=0.15, linewidth=0)
         return
-    deviation = np.array([each.deviation for each in one.samples])
-    below = means - deviation
-    if axes.get_yscale() == "log":
-        below = np.maximum(below, np.minimum(low, means) * 0.4)
+    below, above = np.array([each.spread for each in one.samples]).T
     marker = style.MARKERS[look % len(style.MARKERS)]
     axes.fill_between(one.places, low, high, color=colour, alpha=0.25, linewidth=0)
-    axes.vlines(one.places, below, means + deviation, color=colour, linewidth=0.8, alpha=0.7)
+    axes.vlines(one.places, below, above, color=colour, linewidth=0.8, alpha=0.7)
     axes.plot(one.places, means, color=colour, linestyle=linestyle, linewidth=1.6, marker=marker, ms=5.5, label=label)
     capped = np.array([each.num_censored > 0 for each in one.samples])
     if capped.any():
@@ -152,6 +149,6 @@ def _finish(figure: Any, axes: Any, series: list[_Series], plot: LinePlot, exper
     if plot.y_scale == "linear" and plot.metric != "steady_state":
         axes[0].set_ylim(0, None)
     note = "; open markers: some runs at the cap" if any(one.num_censored for one in every) else ""
-    how = f"mean of {count_of_runs(every)}, 95 % interval (shaded), SD (thin lines){note}"
+    how = f"mean of {count_of_runs(every)}, 95 % interval (shaded), SD within the runs' range (thin lines){note}"
     style.title(figure, plot.title or experiment.title or experiment.name, how)
     style.legend(figure, axes)

@@ -52,6 +52,12 @@ class Sample:
         """Standard deviation; 0 of a single run."""
         return float(self.values.std(ddof=1)) if len(self.values) > 1 else 0.0
 
+    @property
+    def spread(self) -> tuple[float, float]:
+        """The mean less and plus the standard deviation, but not beyond the least and the greatest run."""
+        low, high = self.mean - self.deviation, self.mean + self.deviation
+        return max(low, float(self.values.min())), min(high, float(self.values.max()))
+
     @cached_property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the mean."""

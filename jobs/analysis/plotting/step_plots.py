@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jobs.analysis.plotting import style
-from jobs.analysis.plotting.curve_plots import LEARNER_COLOURS, PER_LEARNER, Y_LABELS, numbered
+from jobs.analysis.plotting.curve_plots import PER_LEARNER, Y_LABELS, numbered
 from jobs.analysis.plotting.samples import selected
 from jobs.analysis.plotting.switch_marks import Marks
 from jobs.analysis.recorded_episodes import Curves, at_steps, moving_mean, read_curves
@@ -111,16 +111,11 @@ def _of_arms(curves: Mapping[Any, Curves], quantity: str, experiment: Experiment
 
 
 def _of_learners(curves: Mapping[Any, Curves], quantity: str, experiment: Experiment) -> list[_Line]:
-    """A learner has the colour of the arm that plays it alone, which is another line of the same figure."""
-    palette = style.colours(experiment)
-    alone = {
-        spec.learner_names[0]: palette[arm] for arm, spec in experiment.arms.items() if len(spec.learner_names) == 1
-    }
     lines = []
     for (arm, sweep), each in curves.items():
         names, values = experiment.arms[arm].learner_names, each.values(quantity)
-        for place, label in enumerate(numbered(names)):
-            colour = alone.get(names[place], LEARNER_COLOURS[place % len(LEARNER_COLOURS)])
+        palette = style.learner_colours(experiment, arm)
+        for place, (label, colour) in enumerate(zip(numbered(names), palette, strict=True)):
             lines.append((f"{label}, {sweep}" if sweep else label, colour, each, values[..., place]))
     return lines
 

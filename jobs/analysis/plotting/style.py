@@ -13,13 +13,14 @@ from jobs.experiment.spec import Experiment
 from jobs.results.storage import Folder
 
 # Okabe & Ito (2008): colours that remain distinct to the colour-blind; their yellow is too light for a line, and on
-# their black no interval could be seen.
+# their black no interval could be seen. The last two are those of the families below, taken where nothing else is left.
 COLOURS = ("#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#882255", "#7F7F7F", "#0072B2", "#D55E00")
 LINESTYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GREY = "#555555"
-# The two that most figures compare look the same in all of them.
-_FIXED = {"APEL": "#0072B2", "SSBAS": "#D55E00"}
+# What most figures compare looks the same in all of them.
+_FAMILIES = {"APEL": "#0072B2", "SSBAS": "#D55E00"}
+_FIXED = {**_FAMILIES, "Q_full": "#009E73", "Q_red": "#E69F00"}
 _KINDS = {"single learners": "#999999", "hindsight": "#CC79A7", "other selectors": "#56B4E9"}
 _STYLE: Any = {
     "figure.constrained_layout.use": True,
@@ -89,15 +90,29 @@ def colours(experiment: Experiment) -> dict[str, str]:
     names = [*experiment.arms, *experiment.hindsight]
     if len(names) > len(COLOURS):
         return {name: _by_kind(experiment, name) for name in names}
-    free = itertools.cycle([colour for colour in COLOURS if colour not in _FIXED.values()])
-    if not _FIXED.keys() & set(names):
-        free = itertools.cycle([*_FIXED.values(), *COLOURS[:-2]])
+    taken = {_FIXED[name] for name in names if name in _FIXED}
+    free = itertools.cycle([colour for colour in COLOURS if colour not in taken])
     return {name: _FIXED.get(name) or next(free) for name in names}
+
+
+def learner_colours(experiment: Experiment, arm: str) -> list[str]:
+    """A colour for each learner of an arm: that of the arm which plays it alone, where there is one.
+
+    Learners of which there are several each have their own, as those have that no arm plays alone.
+    """
+    palette, names = colours(experiment), experiment.arms[arm].learner_names
+    alone = dict(_FIXED)
+    if not kinds(experiment):
+        singles = [(one, spec.learner_names) for one, spec in experiment.arms.items() if len(spec.learner_names) == 1]
+        alone |= {learner: palette[one] for one, (learner,) in singles}
+    known = {name: alone[name] for name in names if names.count(name) == 1 and name in alone}
+    free = itertools.cycle([colour for colour in COLOURS if colour not in known.values()])
+    return [known.get(name) or next(free) for name in names]
 
 
 def _by_kind(experiment: Experiment, name: str) -> str:
     """Of many arms: those of the two main families, single learners, hindsight, and all others."""
-    for family, colour in _FIXED.items():
+    for family, colour in _FAMILIES.items():
         if name == family or name.startswith(f"{family}_"):
             return colour
     if name in experiment.hindsight:
@@ -110,7 +125,7 @@ def kinds(experiment: Experiment) -> dict[str, str]:
     found = colours(experiment)
     if len(set(found.values())) == len(found):
         return {}
-    named = {**{f"{family} and its variants": colour for family, colour in _FIXED.items()}, **_KINDS}
+    named = {**{f"{family} and its variants": colour for family, colour in _FAMILIES.items()}, **_KINDS}
     return {name: colour for name, colour in named.items() if colour in found.values()}
 
 

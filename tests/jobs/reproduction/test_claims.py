@@ -320,6 +320,12 @@ def test_command(tmp_path: Path) -> None:
     assert rows["train-time-apel-below-ssbas"] == "fails"
     assert len(rows) == len(shipped_claims())
     assert f"distractor-maze: {tmp_path / 'results' / 'distractor-maze' / 'one'}" in found.output.splitlines()
+    assert "steady-state" not in found.output
+    left_out = f"{sum(verdict == 'missing' for verdict in rows.values())} claims without results are left out"
+    assert left_out in found.output
+    every = CliRunner().invoke(app, ["claims", str(tmp_path / "results"), "--all"])
+    assert "missing" in every.output
+    assert "left out" not in every.output
     nowhere = CliRunner().invoke(app, ["claims", str(tmp_path / "nowhere")])
     assert isinstance(nowhere.exception, StoreError)  # exit code 2
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from jobs.analysis.plotting import style
 from jobs.analysis.plotting.figures import draw_figures
-from jobs.analysis.plotting.samples import samples, selected
-from jobs.analysis.recorded_episodes import moving_mean
+from jobs.analysis.plotting.samples import Sample, samples, selected
+from jobs.analysis.recorded_episodes import Curves, moving_mean
 from jobs.experiment.figures import ArmPlot
 from jobs.experiment.spec import Experiment
 from jobs.experiment.spec_files import load_experiment, shipped_experiments
@@ -168,6 +168,45 @@ def test_rows_are_picked_and_ordered(tmp_path: Path) -> None:
     rows = runs[(runs["arm"] == "oracle") & (runs["window"] == 10)]
     assert shown[0].mean == pytest.approx(rows["adaptation_time"].mean())
     assert shown[0].num_censored == rows["censored"].sum()
+
+
+@pytest.mark.parametrize("name", [*shipped_experiments()])
+def test_colours_are_told_apart(name: str) -> None:
+    """Arms of one figure differ, and so do the learners of one; a learner alone looks as it does in an ensemble."""
+    experiment = load_experiment(name)
+    palette = style.colours(experiment)
+    shares_colours = bool(style.kinds(experiment))
+    assert shares_colours or len(set(palette.values())) == len(palette)
+    for arm, spec in experiment.arms.items():
+        found = dict(zip(spec.learner_names, style.learner_colours(experiment, arm), strict=False))
+        assert len(set(style.learner_colours(experiment, arm))) == min(len(spec.learner_names), len(style.COLOURS))
+        if not shares_colours and len(found) == len(spec.learner_names):
+            assert all(
+                found[learner] == palette[learner] for learner in {"Q_full", "Q_red"} & set(found) & set(palette)
+            )
+
+
+@pytest.mark.parametrize(
+    ("values", "spread"),
+    [
+        # Mean 40, deviation 20: three at the cap of 50, which no whisker may pass.
+        ([50.0, 50.0, 50.0, 10.0], (20.0, 50.0)),
+        # Mean 20, deviation 20: none took fewer than 10.
+        ([10.0, 10.0, 10.0, 50.0], (10.0, 40.0)),
+        ([7.0], (7.0, 7.0)),
+    ],
+)
+def test_no_spread_beyond_the_runs(values: list[float], spread: tuple[float, float]) -> None:
+    """Mean and standard deviation, but not beyond what any run has, such as a time above the cap."""
+    sample = Sample("APEL", "", np.array(values), np.zeros(len(values), dtype=np.bool_))
+    assert sample.spread == pytest.approx(spread)
+
+
+def test_curves_know_of_runs_that_ended() -> None:
+    """Then a mean is over those that are left, and the figure has to say so."""
+    whole = {"run_index": [0, 0, 1, 1], "episode": [0, 1, 0, 1], "return": [1.0, 2.0, 3.0, 4.0]}
+    assert not Curves(pa.table(whole)).has_ended_runs
+    assert Curves(pa.table({name: column[:3] for name, column in whole.items()})).has_ended_runs
 
 
 def test_moving_mean_is_of_each_run() -> None:
