@@ -57,14 +57,14 @@ class TerminalObserver(Observer):
 
     def compiling(self) -> None:
         """Say why nothing moves."""
-        self._console.print("compiling, this once: it may take half a minute", highlight=False)
+        self._console.print("compiling: once per installation, up to a minute", highlight=False)
 
     def joined(self, dashboard_url: str, num_cpus: int, log_folder: Path) -> None:
         """Say where the dashboard is."""
         self._console.print(f"Ray with {num_cpus} CPUs", highlight=False)
         if dashboard_url:
             self._console.print(
-                f"dashboard: http://{dashboard_url} (asks for a token once: `ray get-auth-token` prints it)",
+                f"dashboard: http://{dashboard_url} (log in with the token that `ray get-auth-token` prints)",
                 highlight=False,
             )
 
@@ -72,14 +72,14 @@ class TerminalObserver(Observer):
         """Begin to show how far it has come, or go on with more to do."""
         before = sum(arm.runs_done for arm in progress.arms().values())
         if before and not self._has_begun:
-            self._console.print(f"{before} runs were finished before", highlight=False)
+            self._console.print(f"{before} run{' is' if before == 1 else 's are'} already finished", highlight=False)
         self._view.begin(progress.arms())
         self._has_begun = True
 
     def progressed(self, shard: Shard, event: ShardEvent, progress: JobProgress) -> None:
         """Show what has changed."""
         if isinstance(event, ShardRestarted):
-            what = f"{shard.label}: its processes died; again in {event.delay_seconds:.1f} s, from its checkpoint"
+            what = f"{shard.label}: its processes died; restarting from its checkpoint in {event.delay_seconds:.1f} s"
             self._console.print(what, highlight=False)
         if isinstance(event, ShardWaiting):
             self._console.print("the cluster has no CPU at the moment: waiting for a worker to join", highlight=False)

@@ -143,6 +143,6 @@ def test_out_of_memory(small: Path, tmp_path: Path) -> None:
     job = subprocess.run([*command, *words], env=env, capture_output=True, text=True, check=False, timeout=600)
     assert job.returncode == 0, job.stdout + job.stderr
     assert marker.exists()
-    assert "its processes died; again in" in job.stdout
+    assert "its processes died; restarting from its checkpoint in" in job.stdout
     disturbed = next((tmp_path / "disturbed").rglob("runs.parquet")).parent
     assert_same(undisturbed, disturbed)

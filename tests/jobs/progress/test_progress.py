@@ -377,7 +377,7 @@ def test_lines_in_a_log(shards: list[Shard], clock: list[float], tmp_path: Path)
     observer.ended("done")
     lines = written.getvalue().splitlines()
     assert lines[0] == "Ray with 2 CPUs"
-    assert lines[2] == "1 runs were finished before"
+    assert lines[2] == "1 run is already finished"
     assert [line.split(" · ")[2] for line in lines if line.startswith("APEL 1/7")] == [
         "0:00:05",
         "0:00:10",
@@ -387,4 +387,4 @@ def test_lines_in_a_log(shards: list[Shard], clock: list[float], tmp_path: Path)
     # Of 960 episodes 50 are played after five seconds, and 100, the later half of them in five seconds, after ten.
     assert "APEL 1/7 (10 %) · Q_full 0/6 (0 %) · 0:00:05 · 1.0 M steps/s" in lines[3]
     assert "APEL 1/7 (21 %) · Q_full 0/6 (0 %) · 0:00:10 · about 0:01:26 left · 1.0 M steps/s" in lines[4]
-    assert f"{shards[0].label}: its processes died; again in 0.5 s, from its checkpoint" in lines
+    assert f"{shards[0].label}: its processes died; restarting from its checkpoint in 0.5 s" in lines
