@@ -6,6 +6,8 @@
     The same questions where only the learner that acts can gain, which is what runs show.
 ``chains``, ``adaptation``, ``exact``
     That model as a Markov chain: simulated, and enumerated where that is possible.
+``noisy``
+    The same chains with noise in the performances and a floor under acting, for which there are no closed forms.
 ``curves``
     The curves of Figures 3.2 to 3.4 as arrays.
 

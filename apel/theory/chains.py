@@ -1,4 +1,4 @@
-"""APEL's concentrations as a Markov chain, many chains side by side (Algorithm 5 with deterministic performances).
+"""APEL's concentrations as a Markov chain, many chains side by side (Algorithm 5), with or without noise and floor.
 
 Written from the text, for arrays, and apart from the selectors, so that each can test the other. The learner is drawn
 from cᵢ / Σc, which is the selection's distribution once the Dirichlet draw is averaged out.
@@ -32,24 +32,36 @@ class Chains:
         ``float64[learners, chains]``.
     estimate:
         ``float64[learners, chains]``: each learner's latest performance, NaN until it is selected.
+    floor:
+        ρ ≥ 0: of every episode each learner has at least this probability, p ← (1 − nρ) p + ρ.
     """
 
     nu: float
     performance: Floats
     concentration: Floats
     estimate: Floats
+    floor: float = 0.0
 
-    def step(self, uniform: Floats) -> Learners:
+    def weights(self) -> Floats:
+        """``float64[learners, chains]``, proportional to the probabilities of the next selection."""
+        if not self.floor:
+            return self.concentration
+        raised = self.floor * self.concentration.sum(axis=0)
+        return (1.0 - len(self.concentration) * self.floor) * self.concentration + raised
+
+    def step(self, uniform: Floats, noise: Floats | float = 0.0) -> Learners:
         """Play one episode: select, observe, increment, decay. Returns the learner that each chain selected.
 
         Parameters
         ----------
         uniform:
             ``float64[chains]``, drawn from [0, 1).
+        noise:
+            ``float64[chains]``, added to what the selected learners earn.
         """
-        selected = _categorical(self.concentration, uniform)
+        selected = _categorical(self.weights(), uniform)
         chain = np.arange(len(selected))
-        earned = self.performance[selected]
+        earned = self.performance[selected] + noise
         self.estimate[selected, chain] = earned
         # Comparing with NaN gives False: whoever was never selected cannot be beaten, and nothing is incremented.
         unbeaten = np.count_nonzero(~(self.estimate < earned), axis=0)

@@ -1,6 +1,7 @@
 """ν from what is wanted of APEL: what ``apel design`` shows (§3.6, and beyond it).
 
-One criterion is wanted; each of two theories answers with a ν of its own, and each says what to expect at both. Pure.
+One criterion is wanted; each of two theories answers with a ν of its own, and each says what to expect at both: the
+dissertation's, and one in which only the selected learner can gain, simulated where noise or a floor is given. Pure.
 """
 
 from __future__ import annotations
@@ -9,14 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from apel.theory import closed_forms, inverses, selection_aware, selection_aware_inverses
+from apel.theory import closed_forms, inverses, noisy, selection_aware, selection_aware_inverses
 from apel.theory.ranges import require_returns
 from jobs.experiment.yaml_source import SpecError
 
 DISSERTATION = "dissertation"
 SELECTION_AWARE = "selection-aware"
-_MAX_EPISODES, _MAX_LEARNERS, _MIN_DECAY = 50_000, 100, 1e-5
-THEORIES = (DISSERTATION, SELECTION_AWARE)
+SIMULATED = "simulation"
+_MAX_EPISODES, _MAX_LEARNERS, _MAX_SIMULATED, _MIN_DECAY = 50_000, 100, 20, 1e-5
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,10 @@ class Request:
         Return of the best learner, and of each other one; a single one stands for all others.
     num_learners:
         n ≥ 2.
+    win_probability:
+        p: with which a performance of the best is above one of another learner.
+    floor:
+        ρ: the least share of the episodes of each learner.
     """
 
     adapt_within: float | None = None
@@ -44,6 +49,30 @@ class Request:
     best_return: float | None = None
     other_returns: tuple[float, ...] = ()
     num_learners: int = 2
+    win_probability: float = 1.0
+    floor: float = 0.0
+
+    @property
+    def theories(self) -> tuple[str, str]:
+        """The dissertation's, and the one to trust."""
+        is_plain = self.win_probability == 1.0 and self.floor == 0.0
+        return DISSERTATION, SELECTION_AWARE if is_plain else SIMULATED
+
+    @property
+    def ensemble(self) -> noisy.Noisy:
+        """What is simulated.
+
+        Raises
+        ------
+        SpecError
+            If there is no such ensemble.
+        """
+        try:
+            return noisy.Noisy(self.num_learners, self.win_probability, self.floor)
+        except ValueError as error:
+            name, _, rest = str(error).partition(":")
+            message = f"--{name.replace('_', '-')}:{rest}"
+            raise SpecError(message) from error
 
 
 @dataclass(frozen=True)
@@ -75,30 +104,36 @@ def design(request: Request) -> list[DecayPrediction]:
     0.0476 selection-aware 0.0500 49
     """
     option, value = _wanted(request)
-    _check_size(option, value, request.num_learners)
+    _check_size(option, value, request)
     others = _other_returns(request)
     try:
-        decays = {theory: _decay(theory, option, value, request, others) for theory in THEORIES}
+        theories = request.theories
+        decays = {theory: _decay(theory, option, value, request, others) for theory in theories}
         for decay in decays.values():
             _require_decay(decay)
         return [
             _prediction(decays[found_by], found_by, theory, request, others)
-            for found_by in THEORIES
-            for theory in THEORIES
+            for found_by in theories
+            for theory in theories
         ]
     except ValueError as error:
         message = f"--{option}: {error}"
         raise SpecError(message) from error
 
 
-def _check_size(option: str, value: float, num_learners: int) -> None:
+def _check_size(option: str, value: float, request: Request) -> None:
     """Refuse what would be sought for hours: the time that a model takes grows with the episodes and the learners."""
     if option.endswith("-within") and _MAX_EPISODES < value < math.inf:
         message = f"--{option}: found {value:g} episodes, expected at most {_MAX_EPISODES:,}"
         raise SpecError(message)
-    if num_learners > _MAX_LEARNERS:
-        message = f"--learners: found {num_learners:,}, expected at most {_MAX_LEARNERS:,}"
+    is_simulated = SIMULATED in request.theories
+    most = _MAX_SIMULATED if is_simulated else _MAX_LEARNERS
+    if request.num_learners > most:
+        where = " where chains are simulated" if is_simulated else ""
+        message = f"--learners: found {request.num_learners:,}, expected at most {most:,}{where}"
         raise SpecError(message)
+    if is_simulated:
+        _ = request.ensemble
 
 
 def _require_decay(decay: float) -> None:
@@ -113,10 +148,10 @@ def advice(predictions: Sequence[DecayPrediction], num_learners: int) -> list[st
     >>> print(advice(design(Request(explore=0.05)), 2)[0])
     take ν = 0.04762 (selection-aware)
     """
-    (chosen,) = {row.decay for row in predictions if row.decay_by == SELECTION_AWARE}
+    chosen, trusted = predictions[-1].decay, predictions[-1].decay_by
     lines = [
-        f"take ν = {chosen:.4g} (selection-aware)",
-        "trust the rows predicted by selection-aware: what runs show, as only the learner that was selected can gain",
+        f"take ν = {chosen:.4g} ({trusted})",
+        f"trust the rows predicted by {trusted}: what runs show, as only the learner that was selected can gain",
         "times in episodes: adaptation until a new best is as likely as the old one, rise to 90 % of the steady state",
     ]
     largest = 1.0 / (num_learners + 1)
@@ -166,6 +201,8 @@ def _other_returns(request: Request) -> list[float]:
 
 def _decay(theory: str, option: str, value: float, request: Request, others: Sequence[float]) -> float:
     """The ν that meets the criterion by one theory."""
+    if theory == SIMULATED:
+        return _simulated_decay(option, value, request, others)
     num_learners, best = request.num_learners, request.best_return or 0.0
     aware = theory == SELECTION_AWARE
     undo = selection_aware_inverses if aware else inverses
@@ -182,9 +219,30 @@ def _decay(theory: str, option: str, value: float, request: Request, others: Seq
     return inverses.decay_for_rise_time(value)
 
 
+def _simulated_decay(option: str, value: float, request: Request, others: Sequence[float]) -> float:
+    ensemble = request.ensemble
+
+    def explored(nu: float) -> float:
+        return noisy.steady_state(nu, ensemble).exploration_probability
+
+    measures = {
+        "explore": explored,
+        "performance": lambda nu: closed_forms.mean_return(explored(nu), request.best_return or 0.0, others),
+        "adapt-within": lambda nu: noisy.adaptation_time(nu, ensemble),
+        "rise-within": lambda nu: noisy.rise_time(nu, ensemble),
+    }
+    return noisy.decay_for(measures[option], value, request.num_learners, rising=option == "explore")
+
+
 def _prediction(nu: float, decay_by: str, theory: str, request: Request, others: Sequence[float]) -> DecayPrediction:
     """What one theory expects of a ν."""
     num_learners, best = request.num_learners, request.best_return
+    if theory == SIMULATED:
+        ensemble = request.ensemble
+        exploration = noisy.steady_state(nu, ensemble).exploration_probability
+        performance = None if best is None else closed_forms.mean_return(exploration, best, others)
+        times = noisy.adaptation_time(nu, ensemble), noisy.rise_time(nu, ensemble)
+        return DecayPrediction(nu, decay_by, theory, *times, exploration, performance)
     if theory == SELECTION_AWARE:
         times = selection_aware.adaptation_time(nu, num_learners), selection_aware.rise_time(nu, num_learners)
     else:

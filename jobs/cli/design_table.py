@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich import box
 from rich.table import Table
 
-from jobs.cli.design import SELECTION_AWARE, DecayPrediction
+from jobs.cli.design import DISSERTATION, DecayPrediction
 
 
 def design_table(predictions: Sequence[DecayPrediction]) -> Table:
@@ -22,5 +22,5 @@ def design_table(predictions: Sequence[DecayPrediction]) -> Table:
         cells = [f"{row.decay:.4g}", row.decay_by, row.predicted_by, f"{row.adaptation_time:,.1f}"]
         cells += [f"{row.rise_time:,.1f}", f"{row.exploration:.4g}"]
         cells += [f"{row.performance:.4g}"] if row.performance is not None else []
-        table.add_row(*cells, style="bold" if row.predicted_by == SELECTION_AWARE else None)
+        table.add_row(*cells, style=None if row.predicted_by == DISSERTATION else "bold")
     return table

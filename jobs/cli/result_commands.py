@@ -129,6 +129,10 @@ def design(
     best_return: Annotated[float | None, typer.Option(help="Return of the best learner.")] = None,
     other_return: Annotated[list[float] | None, typer.Option(help="Of each other one, or one for all others.")] = None,
     learners: Annotated[int, typer.Option(min=2, max=1000, help="Number of learners.")] = 2,
+    win_probability: Annotated[
+        float, typer.Option(metavar="P", help="With which a performance of the best is above one of another learner.")
+    ] = 1.0,
+    floor: Annotated[float, typer.Option(metavar="P", help="Least share of the episodes of each learner.")] = 0.0,
     as_json: AsJson = False,
 ) -> None:
     """Find APEL's decay ν for one of four criteria, and what to expect of it."""
@@ -137,12 +141,15 @@ def design(
     from jobs.cli.design_table import design_table
 
     others = tuple(other_return or ())
-    rows = design_decay(Request(adapt_within, rise_within, explore, performance, best_return, others, learners))
+    wish = adapt_within, rise_within, explore, performance, best_return, others
+    rows = design_decay(Request(*wish, learners, win_probability, floor))
     if as_json:
         print_for_programs([asdict(row) for row in rows])
         return
+    first, *others_said = advice(rows, learners)
+    OUT.print(first, highlight=False)
     OUT.print(design_table(rows))
-    for line in advice(rows, learners):
+    for line in others_said:
         OUT.print(line, highlight=False)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from apel.theory import closed_forms, selection_aware
-from jobs.cli.design import DISSERTATION, SELECTION_AWARE, DecayPrediction, Request, advice, design
+from jobs.cli.design import DISSERTATION, SELECTION_AWARE, SIMULATED, DecayPrediction, Request, advice, design
 from jobs.experiment.yaml_source import SpecError
 from tests.command_line import call, printed
 
@@ -59,6 +59,17 @@ def test_advice() -> None:
     assert "at ν = 0.4286 nobody keeps a lead" in advice(design(Request(explore=0.6, num_learners=3)), 3)[-1]
 
 
+def test_noise_and_floor() -> None:
+    """They take the place of the selection-aware model: more is explored, and the ν for a share of it is smaller."""
+    rows = rows_of(Request(explore=0.05, num_learners=4, win_probability=0.7))
+    assert rows[SIMULATED, SIMULATED].exploration == pytest.approx(0.05, rel=0.01)
+    assert rows[DISSERTATION, SIMULATED].exploration > 0.11
+    assert rows[SIMULATED, SIMULATED].decay < 0.5 * rows[DISSERTATION, DISSERTATION].decay
+    wish = Request(performance=0.9, best_return=1.0, other_returns=(0.0,), floor=0.05)
+    assert rows_of(wish)[SIMULATED, SIMULATED].performance == pytest.approx(0.9, rel=1e-3)
+    assert advice(list(rows.values()), 4)[0].endswith("(simulation)")
+
+
 def test_command(capsys: pytest.CaptureFixture[str]) -> None:
     """The table shows both ν, and the text says which number to trust."""
     shown = printed(capsys, "design", "--explore", "0.05", "--best-return", "1", "--other-return", "0")
@@ -75,6 +86,13 @@ BAD = {
     "negative time": ("--adapt-within -3", "--adapt-within: episodes: found -3.0"),
     "time no number": ("--rise-within nan", "--rise-within: episodes: found nan"),
     "word": ("--explore often", "--explore"),
+    "no noise at all": ("--explore .1 --win-probability .5", "--win-probability: found 0.5, expected above 0.5"),
+    "floor too high": ("--explore .1 --learners 4 --floor .3", "--floor: found 0.3, expected at least 0 and below 1/n"),
+    "floor above the wish": ("--explore .05 --floor .1", "--explore: found 0.05, expected 0.10"),
+    "many in noise": (
+        "--explore .1 --learners 21 --floor .01",
+        "--learners: found 21, expected at most 20 where chains",
+    ),
     "one learner": ("--explore .1 --learners 1", "--learners"),
     "no returns": ("--performance 3", "expected both returns"),
     "one return only": ("--explore .1 --best-return 3", "expected both returns"),
