@@ -17,7 +17,7 @@ from jobs.analysis.statistics.sequential import first_look
 from jobs.experiment.spec import Experiment
 
 _WIDTH = 80
-_NAME = 18
+_NAME, _LEAST_NAME = 18, 10
 _MOST_ROWS, _MOST_ENSEMBLES = 8, 2
 _MOST_RUNS = 10_000
 _POWER = 0.8
@@ -187,15 +187,22 @@ def _cost_sentences(costs: Sequence[Cost]) -> Iterator[str]:
 
 
 def _columns(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table whose first column is of names."""
+    """A table whose first column is of names: they are cut where it is too wide, and the last columns left out, but no
+    number is.
+
+    >>> _columns(["in an ensemble", "return"], [["a learner", "1,234"]])
+    [' in an ensemble  return', ' a learner        1,234']
+    """
     widths = [max(len(line[place]) for line in (heads, *rows)) for place in range(len(heads))]
+    while (excess := sum(widths) + 2 * len(widths) - 1 - _WIDTH) > 0:
+        if widths[0] > _LEAST_NAME:
+            widths[0] = max(_LEAST_NAME, widths[0] - excess)
+        else:
+            widths.pop()
     lines = []
     for line in (heads, *rows):
-        cells = [
-            line[0].ljust(widths[0]),
-            *(cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)),
-        ]
-        lines.append(f" {'  '.join(cells)}"[:_WIDTH].rstrip())
+        cells = [cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=False)]
+        lines.append(f" {'  '.join([_cut(line[0], widths[0]).ljust(widths[0]), *cells])}".rstrip())
     return lines
 
 
@@ -259,8 +266,8 @@ def _named(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def _cut(name: str) -> str:
-    return name if len(name) <= _NAME else f"{name[: _NAME - 1]}…"
+def _cut(name: str, width: int = _NAME) -> str:
+    return name if len(name) <= width else f"{name[: width - 1]}…"
 
 
 def _capital(text: str) -> str:

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from jobs.analysis.answer.comparison import Answer, compare
-from jobs.analysis.answer.words import answer_json, answer_lines
+from jobs.analysis.answer.words import _columns, answer_json, answer_lines
 from jobs.analysis.pages.report import write_report
 from jobs.experiment.spec_files import load_experiment
 from jobs.results.store import ResultStore
@@ -185,6 +185,19 @@ def test_words(play: Play) -> None:
     assert text.startswith("If you have to choose now, use ")
     assert "cannot be told apart" in text
     assert "6 runs cannot decide between 3; it takes at least 9." in text
+
+
+@pytest.mark.parametrize("num_columns", [3, 6, 7, 9, 12])
+def test_no_number_is_cut(num_columns: int) -> None:
+    """Where a table is too wide, names are, and whole columns are left out: half of a number would be another one."""
+    heads = ["in an_ensemble_of_many", *(f"heading {column}" for column in range(num_columns))]
+    row = ["slow_wide", *(f"{10_000 + column:,}" for column in range(num_columns))]
+    first, second = _columns(heads, [row])
+    assert max(len(first), len(second)) <= 80
+    numbers = second.split()[1:]
+    assert numbers == row[1 : 1 + len(numbers)]
+    assert len(numbers) >= min(num_columns, 6)
+    assert first.split("  ")[0].strip().startswith("in an_en")
 
 
 def test_decided_words(play: Play) -> None:
