@@ -1,4 +1,4 @@
-"""What all tests share: one Ray at a time, and a small experiment."""
+"""What all tests share: one Ray at a time in each process, and a small experiment."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Which tests stay together where several processes share them out (``make test``), and which are begun first.
 
-A group is played in order by one process. All that needs a Ray makes one of them: two cores do not carry two Rays at
-once, and one that starts while others compute may find no end to it. Every other module is a group by itself, so that
-what it prepares is prepared once; those with the most tests come first, so that no long one is left for the end.
+A group is played in order by one process. All that needs a Ray makes two of them: the first is begun first, the second
+last, by the process that has played all the rest, so that there are two Rays at once only where nothing else computes;
+two cores do not carry more. Every other module is a group by itself, so that what it prepares is prepared once; those
+with the most tests come first, so that no long one is left for the end.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from __future__ import annotations
 import pytest
 
 _KINDS = ("session", "own", "soak", "guide", "head")
+_FIRST, _LAST = "ray", "ray, last"
+_LATE_KINDS = ("guide", "head")
 
 
 def kind_of(item: pytest.Item) -> str | None:
@@ -26,7 +29,10 @@ def kind_of(item: pytest.Item) -> str | None:
 
 def group_of(item: pytest.Item) -> str:
     """The name of the group to which a test belongs."""
-    return "ray" if kind_of(item) else item.nodeid.partition("::")[0]
+    kind = kind_of(item)
+    if kind is None:
+        return item.nodeid.partition("::")[0]
+    return _LAST if kind in _LATE_KINDS else _FIRST
 
 
 def share_out(items: list[pytest.Item]) -> None:
@@ -35,8 +41,8 @@ def share_out(items: list[pytest.Item]) -> None:
     for item in items:
         groups.setdefault(group_of(item), []).append(item)
     items.clear()
-    for name in sorted(groups, key=lambda name: (name != "ray", -len(groups[name]), name)):
-        if name == "ray":
+    for name in sorted(groups, key=lambda name: (name == _LAST, name != _FIRST, -len(groups[name]), name)):
+        if name in (_FIRST, _LAST):
             groups[name].sort(key=lambda item: _KINDS.index(kind_of(item) or ""))
         for item in groups[name]:
             item.add_marker(pytest.mark.xdist_group(name))

@@ -1,4 +1,4 @@
-"""Tests that need a Ray are played by one process, one Ray after the other, and what takes longest is begun first."""
+"""Tests that need a Ray are two groups, one begun first and one last, each with one Ray after the other."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def items() -> list[Item]:
 
 
 def test_order() -> None:
-    """What needs a Ray comes first, kind by kind, then the largest modules."""
+    """What needs a Ray comes first, kind by kind, then the largest modules, last the guide and what needs the head."""
     shared = items()
     share_out(shared)  # type: ignore[arg-type]
     assert [(item.nodeid.partition("::")[2], item.markers[-1].removeprefix("group ")) for item in shared] == [
         ("test_actors", "ray"),
         ("test_interrupted", "ray"),
         ("test_soak", "ray"),
-        ("test_page[4]", "ray"),
-        ("test_submit", "ray"),
         ("test_one", "tests/jobs/test_a.py"),
         ("test_two", "tests/jobs/test_a.py"),
         ("test_unit", "tests/cluster/test_b.py"),
         ("test_links", "tests/test_guide.py"),
+        ("test_page[4]", "ray, last"),
+        ("test_submit", "ray, last"),
     ]
 
 
