@@ -48,7 +48,7 @@ def stored(
     return store
 
 
-def two_arms(num_runs: int = 10, faster: float = 5.0, num_censored: int = 0) -> dict[str, list[Any]]:
+def two_arms(num_runs: int = 20, faster: float = 5.0, num_censored: int = 0) -> dict[str, list[Any]]:
     """SSBAS takes 100, 101, … episodes and APEL fewer; the first runs of APEL are censored."""
     times = 100.0 + np.arange(num_runs)
     censored = [index < num_censored for index in range(num_runs)]
@@ -82,7 +82,7 @@ def test_rule(direction: str, threshold: Any, interval: tuple[float, float], exp
     one = claim(direction=direction, threshold=threshold)
     estimate = Estimate(sum(interval) / 2, *map(float, interval))
     assert rule(one, estimate, 100) == expected
-    assert rule(one, estimate, 4) == "undecided"
+    assert rule(one, estimate, 19) == "undecided"
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_a_verdict(tmp_path: Path) -> None:
     (verdict,) = judge([claim()], [stored(tmp_path, "distractor-maze", two_arms(num_censored=2))])
     assert verdict.ruling == "holds"
     assert verdict.estimate == pytest.approx((-5, -5, -5))
-    assert (verdict.num_runs, verdict.num_censored) == (10, 2)
-    assert verdict.note == "2 of 10 runs at the cap: their times are lower bounds"
+    assert (verdict.num_runs, verdict.num_censored) == (20, 2)
+    assert verdict.note == "2 of 20 runs at the cap: their times are lower bounds"
     (row,) = claims_table([verdict]).to_pylist()
     assert (row["verdict"], row["value"], row["threshold_low"], row["threshold_high"]) == ("holds", -5, None, 0)
     page = claims_markdown([verdict])
@@ -119,7 +119,7 @@ def test_shares(tmp_path: Path) -> None:
     statistics = [SHARE, SHARE | {"below": 97.0}, SHARE | {"censored": False, "below": 97.0}]
     claims = [claim(direction="none", threshold=None, statistic=statistic) for statistic in statistics]
     # Censored are runs 0 and 1; 95 and 96 are below 97, which are these two.
-    assert [verdict.estimate.value for verdict in judge(claims, [store]) if verdict.estimate] == [0.2, 0.2, 0.2]
+    assert [verdict.estimate.value for verdict in judge(claims, [store]) if verdict.estimate] == [0.1, 0.1, 0.1]
 
 
 def test_points_and_pools(tmp_path: Path) -> None:
@@ -241,6 +241,19 @@ def test_results_are_found(tmp_path: Path) -> None:
         found_stores([str(tmp_path / "nowhere")])
 
 
+def test_all_at_the_cap_decides_nothing(tmp_path: Path) -> None:
+    """A difference of 0 between caps is no difference of 0; where a run got there, it is judged."""
+    capped = two_arms(num_runs=20)
+    capped["train_time"], capped["censored"] = [5000.0] * 40, [True] * 40
+    (verdict,) = judge([claim()], [stored(tmp_path, "distractor-maze", capped)])
+    assert (verdict.ruling, verdict.estimate) == ("undecided", (0, 0, 0))
+    assert verdict.note.endswith("all are the cap, beyond which nothing is known")
+    capped["train_time"] = [4000.0] * 20 + [5000.0] * 20
+    capped["censored"] = [False] * 20 + [True] * 20
+    (verdict,) = judge([claim()], [stored(tmp_path, "distractor-maze", capped, "two")])
+    assert verdict.ruling == "holds"
+
+
 DECAY = ["arms.APEL.selector.decay=0.5"]
 
 
@@ -270,12 +283,12 @@ def test_a_setting_that_is_as_it_was_played(tmp_path: Path) -> None:
 def test_fewer_runs_are_of_the_same_experiment(tmp_path: Path) -> None:
     """They are judged as far as they go; where there are more of them elsewhere, those are."""
     few = stored(tmp_path, "distractor-maze", two_arms(2), "few", ["runs=2"])
-    many = stored(tmp_path, "distractor-maze", two_arms(10), "many", ["runs=10", "title=Ten"])
+    many = stored(tmp_path, "distractor-maze", two_arms(20), "many", ["runs=20", "title=Twenty"])
     (verdict,) = judge([claim()], [few])
     assert (verdict.ruling, verdict.num_runs, verdict.folder) == ("undecided", 2, few.folder.location())
     for stores in ([few, many], [many, few]):
         (verdict,) = judge([claim()], stores)
-        assert (verdict.ruling, verdict.num_runs, verdict.folder) == ("holds", 10, many.folder.location())
+        assert (verdict.ruling, verdict.num_runs, verdict.folder) == ("holds", 20, many.folder.location())
 
 
 def test_hindsight_is_that_of_the_shipped_experiment(tmp_path: Path) -> None:
