@@ -14,7 +14,8 @@ from jobs.experiment.figures import ArmPlot
 from jobs.experiment.spec import Experiment
 
 _MOST_UPRIGHT = 8
-_NUM_BINS = 25
+_LEAST_BINS, _MOST_BINS = 5, 25
+_LEAST_RUNS_OF_A_BAND = 10
 _WIDE = 20
 _HOW_TO_READ = "mean, 95 % interval (thick), SD within the runs' range (thin)"
 
@@ -159,7 +160,9 @@ def _distributions(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Exp
     )
     every = np.concatenate([one.values for one in shown])
     lowest = every.min() if plot.metric == "steady_state" else 0.0
-    edges = np.linspace(lowest, max(cap(experiment, plot.metric) or 0.0, every.max(), lowest + 1e-9), _NUM_BINS + 1)
+    # With fewer runs fewer bins, 20 for a hundred: otherwise a handful of them is a comb.
+    num_bins = int(np.clip(2.0 * np.sqrt(max(len(one.values) for one in shown)), _LEAST_BINS, _MOST_BINS))
+    edges = np.linspace(lowest, max(cap(experiment, plot.metric) or 0.0, every.max(), lowest + 1e-9), num_bins + 1)
     palette = style.colours(experiment)
     for axes, one in zip(all_axes[:, 0], shown, strict=True):
         colour = palette[one.arm]
@@ -184,6 +187,8 @@ def _survival(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experime
     last = max(cap(experiment, plot.metric) or 0.0, *(one.values.max() for one in shown))
     variants = {arm: [one.sweep for one in shown if one.arm == arm] for arm in dict.fromkeys(one.arm for one in shown)}
     arms = list(variants)
+    # The bands of a few runs cover nearly everything.
+    has_bands = min(len(one.values) for one in shown) >= _LEAST_RUNS_OF_A_BAND
     for one in shown:
         curve = share_solved(one.values, one.censored)
         episodes, share, low, high = (np.append(values, values[-1]) for values in _steps(curve))
@@ -193,13 +198,15 @@ def _survival(plt: Any, shown: list[Sample], plot: ArmPlot, experiment: Experime
             episodes, share, where="post", color=palette[one.arm], linewidth=1.8,
             linestyle=style.LINESTYLES[number % len(style.LINESTYLES)], label=one.label.replace("\n", ", "),
         )  # fmt: skip
-        axes.fill_between(episodes, low, high, step="post", color=palette[one.arm], alpha=0.15, linewidth=0)
+        if has_bands:
+            axes.fill_between(episodes, low, high, step="post", color=palette[one.arm], alpha=0.15, linewidth=0)
     axes.set_xlim(0, last)
     axes.set_ylim(0, 1.02)
     axes.set_xlabel("episode" if plot.metric == "train_time" else "episodes after the switch")
     axes.set_ylabel("share of runs that are done")
     style.legend(figure, [axes])
-    _title(figure, plot, experiment, f"{count_of_runs(shown)}: share that meets the criterion, 95 % band")
+    band = ", 95 % band" if has_bands else ""
+    _title(figure, plot, experiment, f"{count_of_runs(shown)}: share that meets the criterion{band}")
     return figure
 
 
