@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
+from jobs.analysis.pages.fitting_table import FittingTable
 from jobs.cli.consoles import OUT, AsJson, print_for_programs
 from jobs.cli.run_options import Overrides, Reference
 from jobs.cli.user_modules import find_user_modules
@@ -47,20 +47,23 @@ def list_experiments(as_json: AsJson = False) -> None:
         drawn = [{"name": name, "title": one.title, "figures": list(one.figures)} for name, one in galleries.items()]
         print_for_programs({"experiments": rows, "galleries": drawn})
         return
-    table = Table("name", "figures", "arms", "runs", "at most", "what")
-    for plan in plans:
-        experiment = plan.experiment
-        table.add_row(
-            experiment.name,
-            ", ".join(experiment.figures),
-            str(len(experiment.arms)),
-            str(experiment.runs),
-            f"{plan.num_episodes / 1e6:,.1f} M episodes",
-            experiment.title,
-        )
+    shown = [
+        [
+            plan.experiment.name,
+            ", ".join(plan.experiment.figures),
+            str(len(plan.experiment.arms)),
+            str(plan.experiment.runs),
+            f"{plan.num_episodes / 1e6:,.1f} M",
+            plan.experiment.title,
+        ]
+        for plan in plans
+    ]
     for name, gallery in galleries.items():
-        table.add_row(name, ", ".join(gallery.figures), "-", "-", "-", f"{gallery.title} (apel figures {name})")
-    OUT.print(table)
+        shown.append([name, ", ".join(gallery.figures), "-", "-", "-", f"{gallery.title} (apel figures {name})"])
+    headings = ("name", "figures", "arms", "runs", "episodes", "what")
+    OUT.print(
+        FittingTable(headings, shown, names=("name", "figures", "what"), first_to_go=("figures", "what", "episodes"))
+    )
 
 
 def init(

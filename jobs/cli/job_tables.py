@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.table import Table
-
+from jobs.analysis.pages.fitting_table import FittingTable
 from jobs.analysis.pages.results_table import short_count
 from jobs.progress.pace import clock
 
@@ -15,14 +13,11 @@ if TYPE_CHECKING:
     from jobs.remote.status import Status
 
 
-def jobs_table(found: Iterable[Status]) -> Table:
+def jobs_table(found: Iterable[Status]) -> FittingTable:
     """One row per job."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("job", "state", "runs", "of", "steps/s", "time"):
-        table.add_column(heading, justify="left" if heading in ("job", "state") else "right", no_wrap=True)
-    for one in found:
-        table.add_row(one.job, one.state, *totals(one.progress))
-    return table
+    rows = [[one.job, one.state, *totals(one.progress)] for one in found]
+    headings = ("job", "state", "runs", "of", "steps/s", "time")
+    return FittingTable(headings, rows, names=("job", "state"), first_to_go=("steps/s", "time", "of", "runs"))
 
 
 def totals(progress: dict[str, Any] | None) -> tuple[str, str, str, str]:
@@ -45,21 +40,23 @@ def time_left(progress: dict[str, Any]) -> str:
     return "" if left is None else f"{clock(progress['seconds'])} so far, about {clock(left)} left"
 
 
-def arms_table(progress: dict[str, Any]) -> Table:
+def arms_table(progress: dict[str, Any]) -> FittingTable:
     """One row per arm."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("arm", "runs", "failed", "episodes", "steps", "mean return", "train time", "selected"):
-        table.add_column(heading, justify="left" if heading in ("arm", "selected") else "right", no_wrap=True)
-    for name, arm in progress["arms"].items():
-        share = arm["episodes"] / arm["episodes_planned"] if arm["episodes_planned"] else 1.0
-        table.add_row(
-            name,
-            f"{arm['runs_done']} of {arm['runs_planned']}",
-            str(arm["runs_failed"]),
-            f"{share:.0%}".replace("%", " %"),
-            short_count(arm["steps"]),
-            "-" if arm["mean_return"] is None else f"{arm['mean_return']:,.2f}",
-            "-" if arm["mean_train_time"] is None else f"{arm['mean_train_time']:,.0f}",
-            ", ".join(f"{learner} {part:.0%}" for learner, part in arm["selection_share"].items()).replace("%", " %"),
-        )
-    return table
+    headings = ("arm", "runs", "failed", "episodes", "steps", "mean return", "train time", "selected")
+    rows = [_arm_row(name, arm) for name, arm in progress["arms"].items()]
+    first_to_go = ("selected", "train time", "steps", "failed")
+    return FittingTable(headings, rows, names=("arm", "selected"), first_to_go=first_to_go)
+
+
+def _arm_row(name: str, arm: dict[str, Any]) -> list[str]:
+    share = arm["episodes"] / arm["episodes_planned"] if arm["episodes_planned"] else 1.0
+    return [
+        name,
+        f"{arm['runs_done']} of {arm['runs_planned']}",
+        str(arm["runs_failed"]),
+        f"{share:.0%}".replace("%", " %"),
+        short_count(arm["steps"]),
+        "-" if arm["mean_return"] is None else f"{arm['mean_return']:,.2f}",
+        "-" if arm["mean_train_time"] is None else f"{arm['mean_train_time']:,.0f}",
+        ", ".join(f"{learner} {part:.0%}" for learner, part in arm["selection_share"].items()).replace("%", " %"),
+    ]

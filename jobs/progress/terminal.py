@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from cluster.events import ShardEvent, ShardReplayed, ShardRestarted, ShardWaiting
 from cluster.shard import Shard
 from jobs.analysis.pages.escaping import printable
+from jobs.analysis.pages.fitting_table import FittingTable
 from jobs.analysis.pages.results_table import results_table
 from jobs.progress.live_table import LiveTable, short_return, totals_line
 from jobs.progress.observers import Ending, Observer
@@ -153,12 +152,13 @@ def episode_bar(console: Console, what: str, num_episodes: int) -> Iterator[Call
         yield lambda completed: progress.update(task, completed=completed)
 
 
-def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> Table:
+def summary_table(summary: pa.Table, manifest: dict[str, Any]) -> FittingTable:
     """The table of results."""
     shown = results_table(summary, arm_timings(manifest))
-    table = Table(title=manifest.get("experiment"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for column, heading in enumerate(shown.headings):
-        table.add_column(heading, justify="left" if column < shown.num_names else "right", no_wrap=True)
-    for row in shown.rows:
-        table.add_row(*row)
-    return table
+    return FittingTable(
+        shown.headings,
+        shown.rows,
+        names=shown.headings[: shown.num_names],
+        first_to_go=("steps/s", "wall time", "IQM", "median", "SD", "steps", "censored", "runs"),
+        title=manifest.get("experiment"),
+    )

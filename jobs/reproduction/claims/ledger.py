@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
 from jobs.analysis.pages.escaping import markdown_cell
+from jobs.analysis.pages.fitting_table import FittingTable
 from jobs.reproduction.claims.claim import Claim
 from jobs.reproduction.claims.judging import MIN_RUNS, RULINGS, Ruling, Verdict
 from jobs.results.storage import Folder
@@ -19,17 +18,20 @@ from jobs.results.storage import Folder
 _COLOURS: dict[Ruling, str] = {"holds": "green", "fails": "red", "undecided": "yellow", "missing": "dim"}
 
 
-def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+def verdict_table(verdicts: Sequence[Verdict]) -> FittingTable:
     """The ledger of claims, short: its page has the words. ``before`` is what was expected."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("claim", "value", "95 % interval", "claimed", "verdict", "before", "runs", "at cap"):
-        is_text = heading in {"claim", "claimed", "verdict", "before"}
-        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
+    rows: list[list[str | Text]] = []
     for verdict in verdicts:
         name, _, _, _, value, interval, claimed, ruling, expected, runs, censored, *_ = cells(verdict)
-        colour = _COLOURS[verdict.ruling]
-        table.add_row(name, value, interval, claimed, Text(ruling, style=colour), expected, runs, censored)
-    return table
+        coloured = Text(ruling, style=_COLOURS[verdict.ruling])
+        rows.append([name, value, interval, claimed, coloured, expected, runs, censored])
+    return FittingTable(
+        ("claim", "value", "95 % interval", "claimed", "verdict", "before", "runs", "at cap"),
+        rows,
+        names=("claim", "claimed", "verdict", "before"),
+        first_to_go=("before", "at cap", "runs", "claimed", "95 % interval"),
+        padding=1,
+    )
 
 
 def source_lines(verdicts: Sequence[Verdict]) -> list[str]:
