@@ -92,7 +92,8 @@ def train(config: dict[str, Any]) -> None:
     options = config["configurations"][config["name"]]
     model = DQN(
         "MlpPolicy",
-        gymnasium.make(config["environment"]),
+        # This function travels without its module: what registers the environment is named with it.
+        gymnasium.make(f"apel.environments:{config['environment']}"),
         seed=config["seed"],
         device="cpu",
         learning_rate=options["learning_rate"],
