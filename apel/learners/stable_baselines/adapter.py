@@ -51,8 +51,7 @@ from apel.learners.stable_baselines.torch_trees import arrays_of, state_dict_of
 from apel.learners.supported_spaces import sb3_spaces
 from apel.numerics import rounding, threads
 
-# torch and stable_baselines3 take seconds to import and need not be installed: only the functions that use them import
-# them, and their objects are `Any` here.
+# Only the functions that use torch and SB3 import them: they take seconds, and need not be there. Theirs is `Any` here.
 
 
 class StableBaselines:
