@@ -162,7 +162,7 @@ def _make(config: EnvironmentConfig, options: dict[str, Any], factory: Any) -> g
     except Exception as error:
         # Whatever a constructor raises, it refuses its options.
         told = error if isinstance(error, gymnasium.error.Error | ValueError) else in_a_line(error)
-        message = f"{config.name}: {told}{_keyword_meant(error, made_by)}"
+        message = f"{config.name}: {told}{_keyword_meant(error, made_by)}{package_wanted(error, made_by)}"
         raise ValueError(message) from error
     if not isinstance(environment, gymnasium.Env):
         message = f"{config.name}: found {type(environment).__name__}, expected a gymnasium.Env"
@@ -170,6 +170,18 @@ def _make(config: EnvironmentConfig, options: dict[str, Any], factory: Any) -> g
     if config.max_episode_steps is not None:
         environment = TimeLimit(environment, config.max_episode_steps)
     return environment
+
+
+def package_wanted(error: Exception, environment: Any) -> str:
+    """How to name the environment of another package, where nothing is known of an id by itself; else nothing.
+
+    >>> package_wanted(gymnasium.error.NameNotFound("Environment `MiniGrid` doesn't exist."), "MiniGrid-v0")
+    ' An id of another package has its module in front, module:MiniGrid-v0'
+    """
+    is_unknown = isinstance(error, gymnasium.error.NameNotFound | gymnasium.error.NamespaceNotFound)
+    if not is_unknown or not isinstance(environment, str) or ":" in environment:
+        return ""
+    return f" An id of another package has its module in front, module:{environment}"
 
 
 def _flattened(config: EnvironmentConfig, environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

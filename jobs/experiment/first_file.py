@@ -18,6 +18,7 @@ from apel.building import make_world
 from apel.building.registry import environment_factory
 from apel.configs import EnvironmentConfig
 from apel.environments import World, close_environments
+from apel.environments.factory import package_wanted
 from apel.run.user_code import faults_of, in_a_line
 from jobs.experiment.plan import Plan
 from jobs.experiment.spec import validate
@@ -103,7 +104,7 @@ def gymnasium_environment(environment: str) -> gymnasium.Env[Any, Any]:
             made: gymnasium.Env[Any, Any] = _made(environment) if factory is None else factory()
     except Exception as error:
         told = error if isinstance(error, gymnasium.error.Error | ValueError) else in_a_line(error)
-        message = f"{environment}: {told}"
+        message = f"{environment}: {told}{package_wanted(error, environment)}"
         raise ValueError(message) from error
     if not isinstance(made, gymnasium.Env):
         message = f"{environment}: found {type(made).__name__}, expected a gymnasium.Env"

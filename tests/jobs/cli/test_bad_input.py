@@ -68,7 +68,10 @@ BAD_FIELDS = {
     "import path, no name": ("learners.Q_full.type=tests.user_code:None_", "has no 'None_'"),
     "import path, no learner": ("learners.Q_full.type=tests.user_code:NOT_A_LEARNER", "not callable"),
     "not off-policy": ("learners.Q_full.type=tests.user_code:OnPolicy", "is not off-policy"),
-    "no such environment": ("environment.id=Maze-v9", "Environment `Maze` doesn't exist"),
+    "no such environment": (
+        "environment.id=Maze-v9",
+        "Environment `Maze` doesn't exist. An id of another package has its module in front, module:Maze-v9",
+    ),
     "environment option": ("environment.options.width=3", "unexpected keyword argument 'width'"),
     "impossible length": ("environment.options.optimal_length=[1, 2]", "none of 10000 mazes"),
     "length range reversed": ("environment.options.optimal_length=[9, 3]", "expected a number of moves or"),
