@@ -25,7 +25,7 @@ def reproduction_page(
     body = [
         f"<p>{played}. {count_line(verdicts)}.</p>",
         "<h2>Ledger of claims</h2>",
-        _ledger(verdicts),
+        f"<details><summary>all {len(verdicts)} claims</summary>{_ledger(verdicts)}</details>",
     ]
     for gallery in galleries:
         body += [_heading(gallery.title or gallery.name, gallery.figures)]
@@ -36,7 +36,7 @@ def reproduction_page(
         body += [_heading(experiment.title or experiment.name, experiment.figures)]
         body += [page.results(store, experiment), *page.pictures(store, experiment), page.spec(experiment)]
         body += [f"<details><summary>what it rests on</summary>{page.sessions(store.manifest())}</details>"]
-    return page.page("The experiments, reproduced", body)
+    return page.page("The experiments, reproduced", page.with_contents(body))
 
 
 def _heading(title: str, figures: Sequence[str]) -> str:

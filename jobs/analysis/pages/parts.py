@@ -6,7 +6,8 @@ import base64
 import csv
 import html
 import io
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from string import Template
 from typing import Any
 
@@ -40,11 +41,11 @@ _PAGE = Template("""<!doctype html>
   figure { margin: 1rem 0; }
   img { width: min(100%, 52rem); height: auto; background: #fff; }
   pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
-  summary { cursor: pointer; color: #0059a3; }
+  summary, a { cursor: pointer; color: #0059a3; }
   @media (prefers-color-scheme: dark) {
     body { color: #ddd; background: #181a1b; } th, td { border-bottom-color: #3a3d3f; } pre { background: #242729; }
     .holds { color: #4cc38a; } .fails { color: #f0883e; } .undecided, .missing { color: #999; }
-    summary { color: #6cb6ff; }
+    summary, a { color: #6cb6ff; }
   }
 </style>
 </head>
@@ -59,6 +60,24 @@ $body
 def page(title: str, body: Iterable[str]) -> bytes:
     """A whole page; ``body`` is HTML."""
     return _PAGE.substitute(title=html.escape(title), body="\n".join(body)).encode()
+
+
+def with_contents(body: Sequence[str]) -> list[str]:
+    """The parts of a page with a list of its chapters (``<h2>``) before the first of them, and a place to jump to each.
+
+    >>> with_contents(["<p>What it is.</p>", "<h2>Claims</h2>", "<h2>Maze &amp; switch</h2>"])[1]
+    "<nav><ul><li><a href='#claims'>Claims</a></li><li><a href='#maze-switch'>Maze &amp; switch</a></li></ul></nav>"
+    """
+    titles = [part[4:-5] for part in body if part.startswith("<h2>")]
+    anchors = dict(zip(titles, map(_anchor, titles), strict=True))
+    links = "".join(f"<li><a href='#{anchors[title]}'>{title}</a></li>" for title in titles)
+    parts = [f"<h2 id='{anchors[part[4:-5]]}'>{part[4:]}" if part.startswith("<h2>") else part for part in body]
+    first = next((place for place, part in enumerate(body) if part.startswith("<h2>")), len(body))
+    return [*parts[:first], f"<nav><ul>{links}</ul></nav>", *parts[first:]]
+
+
+def _anchor(title: str) -> str:
+    return "-".join(re.findall(r"[a-z0-9]+", html.unescape(title).lower()))
 
 
 def table(heads: list[str], rows: list[list[str]], caption: str = "", *, num_names: int = 1) -> str:
