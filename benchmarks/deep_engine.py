@@ -38,7 +38,8 @@ def measured(python: str, root: Path, module: str, *arguments: str) -> float:
     """Steps per second of processor time, as a process of its own says in its last line; NaN if it cannot."""
     variables = {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    command = [python, str(Path(__file__).with_name(module)), *arguments]
+    # Not with this folder on the path, in which `statistics` would be another module than Python's.
+    command = [python, "-P", str(Path(__file__).with_name(module)), *arguments]
     environment = {**os.environ, **variables, "XLA_FLAGS": flags}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=root)
     try:
