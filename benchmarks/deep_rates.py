@@ -5,12 +5,26 @@ It may run in an earlier version of this project, or beside JAX alone; so each k
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 SECONDS, WARM_UP, FOREVER = 6.0, 1_200, 10**6
+# Where an installation of this project stands in for what an earlier version does not have, two would be mixed.
+sys.meta_path = [finder for finder in sys.meta_path if "editable" not in repr(finder)]
+
+
+def named(name: str, *modules: str) -> Any:
+    """What one of these modules has, which one depending on the version."""
+    for module in modules:
+        with contextlib.suppress(ModuleNotFoundError):
+            return getattr(importlib.import_module(module), name)
+    message = f"found {name} in none of {modules}"
+    raise ImportError(message)
 
 
 def rate(play: Any) -> float:
@@ -27,9 +41,9 @@ def bank(learner: str, options: str, runs: str) -> float:
     from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
     from apel.environments import make_world
     from apel.learners.base import StreakLimit
-    from apel.numerics.seeding import run_seeds
-    from apel.run.opening import open_book
 
+    run_seeds = named("run_seeds", "apel.numerics.seeding", "apel.seeding")
+    open_book = named("open_book", "apel.run.opening", "apel.book")
     count = int(runs)
     seeds = run_seeds(1, count)
     worlds = [make_world(EnvironmentConfig("apel/CartPole-v0"), one) for one in seeds]
@@ -50,15 +64,17 @@ def bank(learner: str, options: str, runs: str) -> float:
 def ensemble(environment: str, options: str, runs: str) -> float:
     """Three learners of which APEL chooses, all of which learn from every step; hosts in this process."""
     from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig
-    from apel.experience.representations import Bins, Representation
-    from apel.numerics.seeding import run_seeds
     from cluster.coordinator import Coordinator
     from cluster.local import LocalHosts
     from cluster.shard import ArmPlan, Execution, RunPlan, Shard
 
+    run_seeds = named("run_seeds", "apel.numerics.seeding", "apel.seeding")
+    bins_of, representation = (
+        named(name, "apel.experience.representations", "apel.representations") for name in ("Bins", "Representation")
+    )
     is_maze = "Maze" in environment
-    bins = (Bins(-2.4, 2.4, 2), Bins(-3, 3, 2), Bins(-0.21, 0.21, 6), Bins(-3.5, 3.5, 4))
-    view = Representation() if is_maze else Representation(bins=bins)
+    edges = ((-2.4, 2.4, 2), (-3, 3, 2), (-0.21, 0.21, 6), (-3.5, 3.5, 4))
+    view = representation() if is_maze else representation(bins=tuple(bins_of(*each) for each in edges))
     learners = (LearnerConfig("q_learning", {}, view), LearnerConfig("dqn"), LearnerConfig("acer"))
     config = EnvironmentConfig(environment, json.loads(options), run_seed="maze_seed" if is_maze else None)
     plans = tuple(RunPlan(i, seed, config, learners) for i, seed in enumerate(run_seeds(1, int(runs))))
@@ -153,7 +169,7 @@ def rejax(name: str) -> float:
     return steps / (time.process_time() - began)
 
 
-KINDS = {
+KINDS: dict[str, Callable[..., float]] = {
     "bank": bank,
     "ensemble": ensemble,
     "stable-baselines3": stable_baselines,
