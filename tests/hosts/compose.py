@@ -1,0 +1,77 @@
+"""What the compose file says of the nodes, as data: commands, environment, health checks, limits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[2]
+_COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+
+
+@dataclass(frozen=True)
+class HealthCheck:
+    """How a host is asked whether it is well; times in seconds."""
+
+    command: tuple[str, ...]
+    interval: float
+    timeout: float
+    patience: float
+    """After so long without an answer the compose file calls the host unhealthy."""
+
+
+@dataclass(frozen=True)
+class Service:
+    """What runs on a host."""
+
+    command: tuple[str, ...]
+    environment: Mapping[str, str]
+    shm_size: str = "64m"  # Docker's own
+    num_files: int = 1024
+    secrets: Mapping[str, int] = field(default_factory=dict)
+    """Names with modes."""
+    health: HealthCheck | None = None
+
+
+def node(name: str, extra: Mapping[str, str]) -> Service:
+    """A service of the compose file, with no variable set; ``extra`` is what an ``env_file`` would add."""
+    found = _COMPOSE["services"][name]
+    assert found["cap_drop"] == ["ALL"]
+    assert found["security_opt"] == ["no-new-privileges:true"]
+    return Service(
+        command=tuple(_filled(word) for word in found["command"]),
+        environment={**extra, **{key: _filled(value) for key, value in found["environment"].items()}},
+        shm_size=found["shm_size"],
+        num_files=found["ulimits"]["nofile"],
+        secrets={secret["source"]: secret["mode"] for secret in found["secrets"]},
+        health=_health(found["healthcheck"]),
+    )
+
+
+def named_ports(name: str) -> set[int]:
+    """The TCP ports that a service's command and environment name."""
+    service = node(name, {})
+    said = re.findall(r"--[\w-]*port=(\d+)", " ".join(service.command))
+    said += [value for key, value in service.environment.items() if key.endswith("_METRIC_PORT")]
+    return {int(port) for port in said}
+
+
+def _filled(text: object) -> str:
+    return re.sub(r"\$\{\w+:-(.*?)\}", r"\1", str(text))
+
+
+def _health(check: Mapping[str, Any]) -> HealthCheck:
+    kind, *command = check["test"]
+    assert kind == "CMD"
+    interval, timeout, start = (_seconds(check[key]) for key in ("interval", "timeout", "start_period"))
+    return HealthCheck(tuple(command), interval, timeout, start + check["retries"] * interval)
+
+
+def _seconds(duration: str) -> float:
+    assert duration.endswith("s")
+    return float(duration.removesuffix("s"))
