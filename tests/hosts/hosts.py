@@ -49,9 +49,7 @@ class Host:
     def _connect(self) -> None:
         self._cable = f"{self.name}.{next(self._starts)}"
         address = f"02:42:0a:59:00:{self._number:02x}"  # the same as ever, as Docker has it
-        self._machine.ip(
-            f"link add {self._cable} type veth peer name eth0 address {address} netns {self._pid}"
-        )
+        self._machine.ip(f"link add {self._cable} type veth peer name eth0 address {address} netns {self._pid}")
         self._machine.ip(f"link set {self._cable} master bridge up")
         for words in (
             "link set lo up", f"addr add {self.address}/24 dev eth0", "link set eth0 up",
@@ -117,8 +115,8 @@ class Host:
         return self._machine.path(self._root) / str(path).lstrip("/")
 
     def said(self) -> str:
-        """The end of what its command has printed."""
-        return self._log.read_text(errors="replace")[-3000:]
+        """What its command has printed."""
+        return self._log.read_text(errors="replace")
 
 
 @contextmanager
@@ -141,6 +139,7 @@ def _write_own_files(host: Host, numbers: Mapping[str, int], service: Service, t
     """What differs from the image: the names of all hosts, and the secrets."""
     names = [f"{NETWORK}.{number} {name}" for name, number in numbers.items()]
     host.path("etc/hosts").write_text("\n".join(["127.0.0.1 localhost", "::1 localhost", *names, ""]))
+    # Ray asks the name servers in any case, and one that does not answer would keep the workers from joining.
     host.path("etc/resolv.conf").write_text("")
     host.path("etc/hostname").write_text(f"{host.name}\n")
     for secret, mode in service.secrets.items():

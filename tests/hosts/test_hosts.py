@@ -61,12 +61,18 @@ def test_hosts_share_no_disk(running: Cluster) -> None:
             found = node.run("ls", place).stdout.split()
             assert [name for name in found if name.startswith("of-")] == [f"of-{node.name}"]
         assert node.run("cat", "/run/secrets/ray-token").stdout == running.token
-        assert node.run("id", "-u", "-g").stdout.split() != ["0", "0"]
         state = node.run("cat", "/proc/self/status").stdout
         assert re.search(rf"^Uid:\t{UID}\t{UID}\t{UID}\t{UID}$", state, flags=re.MULTILINE)
         assert re.search(rf"^Gid:\t{GID}\t", state, flags=re.MULTILINE)
         assert re.findall(r"^Cap\w+:\t0*(\w+)$", state, flags=re.MULTILINE) == ["0"] * 5
         assert re.search(r"^NoNewPrivs:\t1$", state, flags=re.MULTILINE)
+
+
+def test_objects_lie_in_shared_memory(running: Cluster) -> None:
+    """Ray finds it large enough, and puts nothing on the disk instead."""
+    for node in running.nodes:
+        assert "Ray runtime started" in node.said()
+        assert "/dev/shm" not in node.said()
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
@@ -97,24 +103,24 @@ def port_owners(node: Host) -> dict[int, str]:
 def test_token_is_asked_for(running: Cluster) -> None:
     """Without the token, or with another one, the dashboard and the nodes' agents refuse."""
     for url in ("http://head:8265/api/jobs/", "http://worker-1:52365/api/job_agent/jobs/"):
-        assert [running.answer(url, token) for token in (None, "0" * 64)] == [401, 401]
+        assert [running.answer(url, token) for token in (None, "0" * 64)] == [401, 403]
     assert running.answer("http://head:8265/api/jobs/", running.token) == 200
 
 
 def test_losses(running: Cluster, tmp_path: Path, tell: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job goes on when a worker is lost, and with another head when the head is; its rows are those of a local one."""
+    """A job goes on without a lost worker, and with another head; its rows are those of a local one."""
     slow_while = write_slow(tmp_path)
     bring(running, slow_while)
     job = submit(running)
     tell("the job is submitted")
-    wait_until(lambda: all(plays(worker) for worker in running.workers), 300.0, lambda: running.apel("logs", job))
-    wait_until(lambda: played(running, job) > 0, 300.0)
+    wait_until(lambda: all(plays(worker) for worker in running.workers), 600.0, lambda: running.apel("logs", job))
+    wait_until(lambda: played(running, job) > 0, 600.0)
+    assert re.search(rf"^ *{job} +running\b", running.apel("jobs"), flags=re.MULTILINE)
     tell("both workers play")
     lose_a_worker(running, job, tell)
     lose_the_head(running, tell)
     assert f"error: found no job '{job}' on this cluster" in running.apel("status", job, check=False)
     resumed = running.apel("resume", job).split()[0]
-    assert resumed != job
     tell("the job is resumed")
     for worker in running.workers:
         worker.path(slow_while).unlink()
@@ -154,7 +160,7 @@ def lose_a_worker(running: Cluster, job: str, tell: Callable[[str], None]) -> No
     tell("the job has noticed")
     assert "its processes died; restarting from its checkpoint" in running.apel("logs", job)
     before = played(running, job)
-    wait_until(lambda: played(running, job) > before, 120.0)
+    wait_until(lambda: played(running, job) > before, 300.0)
     assert state(running, job) == "running"
     tell("the job has gone on")
 
