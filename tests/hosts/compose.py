@@ -35,6 +35,8 @@ class Service:
     num_files: int = 1024
     secrets: Mapping[str, int] = field(default_factory=dict)
     """Names with modes."""
+    grace: float = 10.0
+    """So many seconds after it was asked to end it is killed."""
     health: HealthCheck | None = None
 
 
@@ -42,6 +44,7 @@ def node(name: str, extra: Mapping[str, str]) -> Service:
     """A service of the compose file, with no variable set; ``extra`` is what an ``env_file`` would add."""
     found = _COMPOSE["services"][name]
     assert found["cap_drop"] == ["ALL"]
+    assert found["init"] is True
     assert found["security_opt"] == ["no-new-privileges:true"]
     return Service(
         command=tuple(_filled(word) for word in found["command"]),
@@ -49,6 +52,7 @@ def node(name: str, extra: Mapping[str, str]) -> Service:
         shm_size=found["shm_size"],
         num_files=found["ulimits"]["nofile"],
         secrets={secret["source"]: secret["mode"] for secret in found["secrets"]},
+        grace=_seconds(found["stop_grace_period"]),
         health=_health(found["healthcheck"]),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -67,8 +68,16 @@ class Host:
         if self._process is None:
             return
         if self._process.poll() is None:
-            os.kill(self._pid, 9)
+            os.kill(self._pid, signal.SIGKILL)
         self._process.wait(timeout=60)
+
+    def stop(self) -> float:
+        """Ask it to end, as ``docker stop`` does; the seconds that it took, which may be no more than it is given."""
+        assert self._process
+        began = time.monotonic()
+        os.kill(self._pid, signal.SIGTERM)
+        self._process.wait(timeout=self._service.grace)
+        return time.monotonic() - began
 
     def has_ended(self) -> bool:
         """Whether its command is over."""

@@ -49,6 +49,7 @@ def running(tmp_path_factory: pytest.TempPathFactory, tell: Callable[[str], None
     """One cluster for all tests, which come in this order."""
     with cluster(tmp_path_factory.mktemp("hosts"), tell) as started:
         yield started
+    tell("all is gone")
 
 
 def test_hosts_share_no_disk(running: Cluster) -> None:
@@ -134,6 +135,12 @@ def test_losses(running: Cluster, tmp_path: Path, tell: Callable[[str], None], m
     whole = run_experiment(experiment, Settings(str(tmp_path / "here"), placement="local"))
     assert_same(folder_of(whole), running.client.path(HOME / fetched))
     tell("its rows are those of the local one")
+
+
+def test_stop(running: Cluster, tell: Callable[[str], None]) -> None:
+    """A node that is asked to end does so before it would be killed."""
+    for host in reversed(running.nodes):
+        tell(f"{host.name} has stopped, after {host.stop():.1f} s")
 
 
 def bring(running: Cluster, slow_while: Path) -> None:
