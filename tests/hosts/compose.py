@@ -16,13 +16,11 @@ _COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_tex
 
 @dataclass(frozen=True)
 class HealthCheck:
-    """How a host is asked whether it is well; times in seconds."""
+    """How a host is asked whether it is well."""
 
     command: tuple[str, ...]
-    interval: float
-    timeout: float
     patience: float
-    """After so long without an answer the compose file calls the host unhealthy."""
+    """After so many seconds without an answer the compose file calls the host unhealthy."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,7 @@ def node(name: str, extra: Mapping[str, str]) -> Service:
     found = _COMPOSE["services"][name]
     assert found["cap_drop"] == ["ALL"]
     assert found["init"] is True
+    assert found["restart"] == "unless-stopped"
     assert found["security_opt"] == ["no-new-privileges:true"]
     return Service(
         command=tuple(_filled(word) for word in found["command"]),
@@ -72,8 +71,8 @@ def _filled(text: object) -> str:
 def _health(check: Mapping[str, Any]) -> HealthCheck:
     kind, *command = check["test"]
     assert kind == "CMD"
-    interval, timeout, start = (_seconds(check[key]) for key in ("interval", "timeout", "start_period"))
-    return HealthCheck(tuple(command), interval, timeout, start + check["retries"] * interval)
+    patience = _seconds(check["start_period"]) + check["retries"] * _seconds(check["interval"])
+    return HealthCheck(tuple(command), patience)
 
 
 def _seconds(duration: str) -> float:

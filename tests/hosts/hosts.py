@@ -100,10 +100,16 @@ class Host:
         return not self.has_ended() and self.run(*health.command, check=False, timeout=60).returncode == 0
 
     def wait_until_well(self) -> float:
-        """Ask until it is well, for no longer than the compose file does; the seconds that it took."""
-        began = time.monotonic()
+        """Ask until it is well, for no longer than the compose file does; the seconds that it took.
+
+        What ends before is started again, once: on a busy machine Ray may give up its start.
+        """
+        began, restarts = time.monotonic(), 0
         while not self.is_well():
-            assert not self.has_ended(), f"{self.name} has ended:\n{self.said()}"
+            if self.has_ended():
+                assert not restarts, f"{self.name} has ended:\n{self.said()}"
+                self.start()
+                began, restarts = time.monotonic(), restarts + 1
             waited = time.monotonic() - began
             assert waited < self._health.patience, f"{self.name} is not well after {waited:.0f} s:\n{self.said()}"
             time.sleep(1.0)
