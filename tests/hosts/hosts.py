@@ -100,7 +100,9 @@ class Host:
         return not self.has_ended() and self.run(*health.command, check=False, timeout=60).returncode == 0
 
     def wait_until_well(self) -> float:
-        """Ask until it is well, for no longer than the compose file does; the seconds that it took.
+        """Ask until it is well; the seconds that it took.
+
+        The compose file has patience with hosts that have cores to themselves; here they have three times as long.
 
         What ends before is started again, once: on a busy machine Ray may give up its start.
         """
@@ -111,7 +113,7 @@ class Host:
                 self.start()
                 began, restarts = time.monotonic(), restarts + 1
             waited = time.monotonic() - began
-            assert waited < self._health.patience, f"{self.name} is not well after {waited:.0f} s:\n{self.said()}"
+            assert waited < 3 * self._health.patience, f"{self.name} is not well after {waited:.0f} s:\n{self.said()}"
             time.sleep(1.0)
         return time.monotonic() - began
 
