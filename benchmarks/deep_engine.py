@@ -64,7 +64,7 @@ def cases(before: Path | None, rejax: str | None) -> dict[str, tuple[str, Path, 
             found[f"Q + DQN + ACER, {environment}, {version}"] = sys.executable, root, "deep_rates.py", arguments
     for peer in PEERS:
         python = rejax if peer == "rejax" else sys.executable
-        for name in list(LEARNERS)[:2]:
+        for name in list(LEARNERS)[: 1 if peer == "rejax" else 2]:
             if python is not None:
                 found[f"{name}, {peer}"] = python, ROOT, "deep_rates.py", (peer, name)
     return found
