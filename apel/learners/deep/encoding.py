@@ -15,7 +15,7 @@ from apel.numerics.compiled import njit
 Encoding = Literal["raw", "one_hot"]
 Frames = NDArray[np.uint8]
 """``uint8[A, stack, bytes]``: observations as they are stored; most have a single frame."""
-_FLOATS, _BYTES, _CODES = range(3)
+FLOATS, _BYTES, _CODES = range(3)
 
 
 class Coding(NamedTuple):
@@ -35,7 +35,7 @@ def encode(coding: Coding, frames: Frames, inputs: Any) -> None:
     at = 0
     for k in range(frames.shape[0]):
         frame = frames[k]
-        if coding.kind == _FLOATS:
+        if coding.kind == FLOATS:
             numbers = frame.view(np.float32)
             for i in range(numbers.shape[0]):
                 inputs[at + i] = numbers[i]
@@ -96,7 +96,7 @@ class Encoder:
         sizes, self._starts = _one_hot_sizes(space, encoding)
         # Of a Box without dimensions the input is a vector of one number.
         self.shape = (int(sizes.sum()),) if len(sizes) else self.observation_shape or (1,)
-        kind = _CODES if len(sizes) else _BYTES if _has_bytes(space) else _FLOATS
+        kind = _CODES if len(sizes) else _BYTES if _has_bytes(space) else FLOATS
         self._type = np.dtype((np.float32, np.uint8, np.int32)[kind])
         self.coding = Coding(kind, _scale(space), sizes)
         count = int(np.prod(self.observation_shape, dtype=np.int64))
