@@ -119,7 +119,9 @@ def _verdict(claim: Claim, results: Results) -> Verdict:
     if num_runs < MIN_RUNS:
         notes.append(f"{num_runs} runs are too few to decide")
     ruling = rule(claim, estimate, num_runs)
-    if is_time and selected.censored_at.all():
+    # A mean of caps is a bound, on which a claim may hold or fail; what they differ by is nothing that was measured.
+    is_bound = claim.statistic.of == "mean" and claim.statistic.over == "only"
+    if is_time and selected.censored_at.all() and not is_bound:
         notes.append("all are the cap, beyond which nothing is known")
         ruling = "undecided"
     return Verdict(claim, ruling, estimate, num_runs, num_censored, identity, folder, note="; ".join(notes))

@@ -25,7 +25,7 @@ from jobs.experiment.spec import Experiment
 from jobs.experiment.spec_files import load_experiment
 from jobs.experiment.validation import check
 from jobs.experiment.yaml_source import SpecError
-from jobs.reproduction.claims.judging import Verdict, evaluate
+from jobs.reproduction.claims.judging import MIN_RUNS, Verdict, evaluate, rule
 from jobs.results.store import ResultStore
 from jobs.runner import Settings, run_experiment
 from tests.jobs.analysis.switching.overtaking import PLOT, SPEC, Scale, write_results
@@ -214,10 +214,12 @@ def test_claims_on_delays(results: tuple[ResultStore, Experiment]) -> None:
         assert found.estimate is not None
         assert found.estimate.value == pytest.approx(delays[metric]["APEL"].mean())
     later = verdict(results, DELAY | {"of": "difference", "arms": ["SSBAS", "APEL"]})
-    assert (later.ruling, later.num_censored, later.note) == ("holds", 0, "")
+    assert (later.ruling, later.num_censored, later.note) == ("undecided", 0, "6 runs are too few to decide")
+    assert later.estimate is not None
+    assert rule(later.claim, later.estimate, MIN_RUNS) == "holds"
     never = verdict(results, DELAY | {"arms": ["SSBAS_normalised"]})
     assert (never.num_runs, never.num_censored) == (6, 6)
-    assert never.note == "6 of 6 runs at the cap: their times are lower bounds"
+    assert never.note == "6 of 6 runs at the cap: their times are lower bounds; 6 runs are too few to decide"
     assert str(later.claim.statistic) == "difference of switch_delay: SSBAS, APEL; Q to DQN"
 
 
@@ -233,12 +235,12 @@ def test_claims_on_parts_of_the_steps(results: tuple[ResultStore, Experiment]) -
         expected.append(np.nanmean(np.where(inside, curves.values("return"), np.nan), axis=1).mean())
     assert at_end.estimate is not None
     assert at_end.estimate.value == pytest.approx(expected[0] - expected[1])
-    assert at_end.ruling == "holds"
+    assert rule(at_end.claim, at_end.estimate, MIN_RUNS) == "holds"
     early = verdict(results, RETURN | {"parts": [[0, 0.1]]}, direction="below")
-    assert early.ruling == "holds"
+    assert early.estimate is not None
+    assert rule(early.claim, early.estimate, MIN_RUNS) == "holds"
     rise = verdict(results, RETURN | {"parts": [[0, 0.1], [0.9, 1]], "over": "rise"})
     assert rise.estimate is not None
-    assert early.estimate is not None
     assert rise.estimate.value == pytest.approx(at_end.estimate.value - early.estimate.value)
     assert str(at_end.claim.statistic) == "difference of return: DQN, Q; 90 to 100 % of the steps"
 
