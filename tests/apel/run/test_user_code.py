@@ -53,6 +53,8 @@ def test_length_of_a_trace() -> None:
     long = trace_of(ValueError("a" * limit + "end"))
     assert len(long) <= limit + 100
     assert long.rstrip().endswith("end")
+    # "ValueError: ", the text, "end" and the end of the line are 16 characters too many.
+    assert "\n[… 16 characters …]\n" in long
 
 
 def test_a_fault_of_ours_is_none_of_the_user_s() -> None:
