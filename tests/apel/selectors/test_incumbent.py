@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from apel.selectors import Incumbent
-from apel.selectors.comparing import deviations_behind, score
+from apel.selectors.comparing import are_tied, deviations_behind, score
 from apel.selectors.incumbent import LAYOUT, IncumbentState
 from tests.apel.selectors.clock import Clock
 
@@ -201,3 +201,17 @@ def test_a_duel_has_an_end() -> None:
     assert play(clock, 8, lambda _: -1.0) == [1] * 8
     assert seen(clock).challenger[0] == -1.0
     assert set(play(clock, 6, lambda _: -1.0)) == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("few", "reference", "tied"),
+    [
+        ([1.0, 1.0], [1.0, 1.0, 1.0], True),
+        ([1.0, 2.0], [1.0, 1.0, 1.0], False),
+        ([1.0, 1.0], [1.0, 1.0, 2.0], False),
+        ([2.0, 2.0], [1.0, 1.0, 1.0], False),
+    ],
+)
+def test_tied_are_equal_numbers_alone(few: list[float], reference: list[float], tied: bool) -> None:
+    """All of both have to be the same: one that differs on either side is no tie."""
+    assert are_tied(np.array(few), np.array(reference)) is tied
