@@ -3,10 +3,12 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
+import apel.selectors
 from apel.building.registry import SELECTORS
 from apel.run.selection import Selector
 from apel.run.state import is_compiled
@@ -204,3 +206,19 @@ def test_refuses_options_out_of_range(name: str, options: dict[str, object]) -> 
     """The message names the option."""
     with pytest.raises(ValueError, match=next(iter(options))):
         SELECTORS[name](**options)
+
+
+BOUNDED = [
+    kind
+    for kind in vars(apel.selectors).values()
+    if {"bounds", "normalise"} <= set(getattr(kind, "__dataclass_fields__", {}))
+]
+
+
+@pytest.mark.parametrize("kind", BOUNDED, ids=lambda kind: kind.__name__)
+def test_bounds_go_with_fixed_bounds_alone(kind: Any) -> None:
+    """Every selector that takes bounds refuses them where they would not be used, and their lack where they would."""
+    with pytest.raises(ValueError, match="bounds: found None with normalise: fixed_bounds"):
+        kind(normalise="fixed_bounds")
+    with pytest.raises(ValueError, match=rf"bounds: found \(0.0, 1.0\) with normalise: {kind().normalise}"):
+        kind(bounds=(0.0, 1.0))
