@@ -91,15 +91,11 @@ def off_policy_algorithm(path: str) -> Any:
         from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     except ImportError as error:
         raise _not_installed(error) from error
-    found = named(path)
-    if not isinstance(found, type) or not issubclass(found, OffPolicyAlgorithm):
-        message = (
-            f"algorithm: found {path!r}, expected a subclass of stable-baselines3's OffPolicyAlgorithm: others cannot "
-            "learn from the trajectories of other learners; those that are on-policy are of the type "
-            "stable_baselines_on_policy, with learns_from: own"
-        )
-        raise ValueError(message)
-    return found
+    others = (
+        ": others cannot learn from the trajectories of other learners; those that are on-policy are of the type "
+        "stable_baselines_on_policy, with learns_from: own"
+    )
+    return _named_subclass(path, OffPolicyAlgorithm, others)
 
 
 def on_policy_algorithm(path: str) -> Any:
@@ -114,9 +110,13 @@ def on_policy_algorithm(path: str) -> Any:
         from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
     except ImportError as error:
         raise _not_installed(error) from error
+    return _named_subclass(path, OnPolicyAlgorithm)
+
+
+def _named_subclass(path: str, base: Any, others: str = "") -> Any:
     found = named(path)
-    if not isinstance(found, type) or not issubclass(found, OnPolicyAlgorithm):
-        message = f"algorithm: found {path!r}, expected a subclass of stable-baselines3's OnPolicyAlgorithm"
+    if not isinstance(found, type) or not issubclass(found, base):
+        message = f"algorithm: found {path!r}, expected a subclass of stable-baselines3's {base.__name__}{others}"
         raise ValueError(message)
     return found
 
