@@ -91,7 +91,7 @@ def choose(streams: Streams, runs: Runs, probability: Any, actions: NDArray[np.i
 
 @njit
 def learn(acer: AcerArrays, runs: Runs, steps: Steps) -> None:
-    """Learn from steps, one after the other; of perceptrons."""
+    """Learn from steps, one after the other; of compiled networks."""
     for i in range(runs.shape[0]):
         if note(acer.core, runs[i], steps, i) & UPDATE:
             update(acer, runs[i : i + 1])

@@ -1,4 +1,4 @@
-"""Networks of all runs of a shard on PyTorch: convolutions, and whatever is on a GPU."""
+"""Networks of all runs of a shard on PyTorch: those on a GPU."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from apel.learners.base import State
 from apel.learners.deep.compiled_network import ACTING, ONLINE, Descent
 from apel.learners.deep.devices import open_device
 from apel.learners.deep.networks import INPUT, Architecture, Convolution, Dense
+from apel.learners.deep.normalising import EPSILON
 from apel.learners.deep.parameters import Layout
 
 if find_spec("torch") is None:
-    message = 'convolutions and GPUs need PyTorch: pip install "apel[deep]"'
+    message = 'GPUs need PyTorch: pip install "apel[deep]"'
     raise ImportError(message)
 
 import torch
 from torch import Tensor
+from torch.nn.functional import layer_norm
 
 from apel.learners.deep.stacked_rows import FrozenRows, RowAdam, Rows, clip_each_row, clip_each_variable
 
@@ -139,7 +141,9 @@ class StackedNetwork:
             x = given if layer.source == INPUT else found[layer.source]
             weight, bias = next(variables), next(variables)
             if isinstance(layer, Dense):
-                found.append(_ACTIVATIONS[layer.activation](_dense(x.flatten(2), weight, bias)))
+                made = _dense(x.flatten(2), weight, bias)
+                made = layer_norm(made, made.shape[-1:], eps=EPSILON) if layer.normalised else made
+                found.append(_ACTIVATIONS[layer.activation](made))
                 heads += found[-1:] if layer.column is not None else []
             else:
                 found.append(torch.relu(_convolve(layer, x, weight, bias)))

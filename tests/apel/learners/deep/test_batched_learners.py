@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from apel.learners.banks.batched_learner import BatchedLearner, Transitions
+from apel.learners.deep import deep_learner
 from apel.learners.deep.acer import BatchedAcer
 from apel.learners.deep.deep_learner import BatchedDeepLearner
 from apel.learners.deep.dqn import BatchedDqn
-from apel.learners.deep.networks import Architecture
 from apel.learners.deep.sac import BatchedSac
 from apel.learners.deep.stacked_network import StackedNetwork
 from cluster.checkpoint import pack, unpack
@@ -70,7 +70,7 @@ each_compiled_learner = pytest.mark.parametrize("kind", LEARNERS)
 
 def make(kind: str, seeds: list[int] = SEEDS, **options: Any) -> BatchedDeepLearner:
     constructor, given = LEARNERS[kind.removeprefix(ON_PYTORCH)]
-    with patch.object(Architecture, "is_perceptron", new=not kind.startswith(ON_PYTORCH)):
+    with patch.object(deep_learner, "is_compiled_for", new=lambda _: not kind.startswith(ON_PYTORCH)):
         return constructor(SPACE, NUM_ACTIONS, seeds, **{**given, **options})
 
 
