@@ -1,10 +1,10 @@
 """Ensembles whose learners spoil each other, and remedies: ``python -m benchmarks.passive_learning [SPEC]``.
 
 Plays the arms of an experiment file (by default ``benchmarks/selectors/passive.yaml``) in processes of their own,
-without Ray, some runs at a time, and writes a line of JSON for each run as it ends: of every tenth of its environment
-steps the number of episodes that each learner played, and the sum of their returns. ``--table`` prints what they come
-to. A run follows from its seed alone, so it does not matter where, or in which order, runs are played; those that are
-there already are not played again.
+without Ray, some runs at a time, and writes a line of JSON for each run as it ends: its train time, and of every tenth
+of its environment steps the number of episodes that each learner played, and the sum of their returns. ``--table``
+prints what they come to. A run follows from its seed alone, so it does not matter where, or in which order, runs are
+played; those that are there already are not played again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from apel.run.state import EpisodeRows
 from cluster.compiling import compile_for
 from cluster.local import run_shards
-from cluster.protocols import RunRows
+from cluster.protocols import NO_RUN_ROWS, RunRows
 from cluster.shard import Execution, Shard
 from jobs.experiment.plan import Plan
 from jobs.experiment.spec_files import load_experiment
@@ -79,6 +79,7 @@ def play(shards: Sequence[Shard], processes: int, end: float, out: Path) -> None
 class _InMemory:
     """Takes a shard's rows, and has no checkpoint."""
 
+    runs: RunRows = NO_RUN_ROWS
     rows: list[EpisodeRows] = field(default_factory=list)
     parts: dict[int, list[EpisodeRows]] = field(default_factory=dict)
 
@@ -86,7 +87,8 @@ class _InMemory:
         self.parts[part] = list(rows)
         return str(part)
 
-    def commit(self, _: Shard, __: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
+    def commit(self, _: Shard, runs: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
+        self.runs = runs
         self.rows = [one for part in parts for one in self.parts[int(part)]] + list(rows)
 
     def keep(self, *_: Any) -> None:
@@ -118,19 +120,23 @@ def played(shard: Shard) -> list[dict[str, Any]]:
             "run": run.index,
             "seed": run.seed,
             "learners": list(names),
-            **tenths(rows, position, len(names), shard.arm.num_steps or 0),
+            "train_time": int(sink.runs.train_time[at]),
+            "censored": bool(sink.runs.censored[at]),
+            **tenths(rows, position, len(names), shard.arm.num_steps),
             "cpu_seconds": round(took / len(shard.runs), 1),
         }
-        for position, run in enumerate(shard.runs)
+        for at, position in enumerate(sink.runs.position.tolist())
+        for run in [shard.runs[position]]
     ]
 
 
-def tenths(rows: EpisodeRows, position: int, num_learners: int, steps: int) -> dict[str, Any]:
+def tenths(rows: EpisodeRows, position: int, num_learners: int, steps: int | None) -> dict[str, Any]:
     """Episodes ``[10][learners]``, their returns, summed, and their steps, by the tenth in which they end."""
     of_run = np.flatnonzero(rows.run == position)
     of_run = of_run[np.argsort(rows.episode[of_run], kind="stable")]
     length, selected = rows.length[of_run], rows.selected[of_run]
-    tenth = np.minimum(TENTHS * (np.cumsum(length) - 1) // steps, TENTHS - 1)
+    ends = np.cumsum(length)
+    tenth = np.minimum(TENTHS * (ends - 1) // (steps or ends[-1]), TENTHS - 1)
     count, total, made = (np.zeros((TENTHS, num_learners)) for _ in range(3))
     np.add.at(count, (tenth, selected), 1)
     np.add.at(total, (tenth, selected), rows.episode_return[of_run])
