@@ -150,22 +150,44 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def table(runs: Sequence[dict[str, Any]]) -> list[str]:
-    """A row for each arm at each sweep point: means over the runs."""
+    """A row for each arm at each sweep point, the best ensembles first: means over the runs. The worse half is relative
+    to the best learner alone in it.
+    """
     points: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for one in runs:
         points.setdefault((one["arm"], one["sweep"]), []).append(one)
-    lines = ["| arm | | runs | first half | second half | last tenth | of those, by the last learner | its own there |"]
-    lines.append("|---" * 8 + "|")
-    for (arm, sweep), ones in sorted(points.items()):
-        count, total = (np.array([one[name] for one in ones]) for name in ("episodes", "returns"))
-        half = TENTHS // 2
-        parts = [total[:, part].sum((1, 2)) / count[:, part].sum((1, 2)) for part in (slice(half), slice(half, None))]
-        late = total[:, -1].sum(1) / count[:, -1].sum(1)
-        share = count[:, -1, -1] / count[:, -1].sum(1)
-        own = total[:, -1, -1].sum() / max(count[:, -1, -1].sum(), 1)
-        numbers = " | ".join(f"{values.mean():.2f}" for values in (*parts, late))
-        lines.append(f"| {arm} | {sweep} | {len(ones)} | {numbers} | {share.mean():.0%} | {own:.2f} |")
+    halves = {point: _halves(ones) for point, ones in points.items()}
+    alone = np.array([halves[point] for point, ones in points.items() if len(ones[0]["learners"]) == 1]).max(axis=0)
+    worse = {point: (both / alone).min() for point, both in halves.items()}
+    header = (
+        "arm",
+        "",
+        "runs",
+        "first half",
+        "second half",
+        "worse half",
+        "last tenth",
+        "by the last learner",
+        "its own",
+    )
+    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
+    for point in sorted(points, key=lambda point: -worse[point]):
+        ones = points[point]
+        count, total = (np.array([one[name] for one in ones])[:, -1] for name in ("episodes", "returns"))
+        own = total[:, -1].sum() / max(count[:, -1].sum(), 1)
+        numbers = [*halves[point], worse[point], (total.sum(1) / count.sum(1)).mean()]
+        share = (count[:, -1] / count.sum(1)).mean()
+        cells = [*point, str(len(ones)), *(f"{number:.2f}" for number in numbers), f"{share:.0%}", f"{own:.2f}"]
+        lines.append("| " + " | ".join(cells) + " |")
     return lines
+
+
+def _halves(ones: Sequence[dict[str, Any]]) -> np.ndarray:
+    """Mean return of the episodes of each half, mean over the runs."""
+    count, total = (np.array([one[name] for one in ones]).sum(axis=2) for name in ("episodes", "returns"))
+    half = TENTHS // 2
+    parts = (slice(half), slice(half, None))
+    return np.array([(total[:, part].sum(1) / count[:, part].sum(1)).mean() for part in parts])
 
 
 if __name__ == "__main__":
