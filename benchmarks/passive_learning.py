@@ -55,7 +55,11 @@ def main() -> None:
     done = {(one["arm"], one["sweep"], one["run"]) for one in read(given.out)}
     shards = plan.shards(num_cpus=given.processes, shard_size=given.shard, finished=done)
     # First the first runs of everything: what is done when the time is up is then of use.
-    play(sorted(shards, key=lambda shard: shard.runs[0].index), given.processes, end, given.out)
+    play(sorted(shards, key=_order), given.processes, end, given.out)
+
+
+def _order(shard: Shard) -> tuple[int, int]:
+    return shard.runs[0].index, len(shard.arm.learner_names)
 
 
 def play(shards: Sequence[Shard], processes: int, end: float, out: Path) -> None:
