@@ -28,6 +28,7 @@ from cluster.protocols import NO_RUN_ROWS, RunRows
 from cluster.shard import Execution, Shard
 from jobs.experiment.plan import Plan
 from jobs.experiment.spec_files import load_experiment
+from jobs.experiment.validation import check
 
 SPEC = "benchmarks/selectors/passive.yaml"
 RESULTS = Path("benchmarks/results/passive_learning.jsonl")
@@ -51,6 +52,7 @@ def main() -> None:
         return
     end = time.monotonic() + given.seconds
     plan = Plan.of(load_experiment(given.spec, given.set)).only(given.arms.split(",") if given.arms else None)
+    check(plan)
     compile_for(plan.compiled_parts)
     done = {(one["arm"], one["sweep"], one["run"]) for one in read(given.out)}
     shards = plan.shards(num_cpus=given.processes, shard_size=given.shard, finished=done)
@@ -111,7 +113,7 @@ class _InMemory:
 def played(shard: Shard) -> list[dict[str, Any]]:
     """What each run of a shard comes to."""
     sink, began = _InMemory(), time.process_time()
-    for _ in run_shards([shard], sink, sink, Execution(checkpoint_seconds=np.inf)):
+    for _ in run_shards([shard], sink, sink, Execution(checkpoint_seconds=np.inf, raises=True)):
         pass
     took = time.process_time() - began
     rows = EpisodeRows(*(np.concatenate(column) for column in zip(*sink.rows, strict=True)))
