@@ -12,7 +12,7 @@ from apel.dynamics.batched_environment import Runs
 from apel.learners.base import State
 from apel.learners.deep.compiled_network import ACTING, ONLINE, Descent
 from apel.learners.deep.devices import open_device
-from apel.learners.deep.networks import INPUT, Architecture, Convolution, Dense
+from apel.learners.deep.networks import INPUT, Architecture, Dense
 from apel.learners.deep.parameters import Layout
 
 if find_spec("torch") is None:
@@ -55,7 +55,7 @@ class StackedNetwork:
         self._other = self._online.clone() if has_other else None
         self._frozen = FrozenRows(self._rows, len(seeds))
         self._adam = RowAdam(self._online, descent.learning_rate, descent.epsilon)
-        self._moving: Tensor | None = None
+        self._moving = list[Tensor]()
         self._predicted: Tensor | None = None
 
     @property
@@ -80,16 +80,21 @@ class StackedNetwork:
 
     def predict(self, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
         """See `apel.learners.deep.engines`; of the runs of one call."""
-        self._moving = self._rows.of(self._online, runs).detach().requires_grad_()
-        self._predicted = self.values(self._moving, self._rows.tensor(inputs[: len(runs), :count]))
+        # Of each variable by itself: through views of a whole row each gradient would be as long as the row.
+        variables = self.layout.unpack(self._rows.of(self._online, runs))
+        self._moving = [variable.detach().requires_grad_() for variable in variables]
+        self._predicted = self._values(self._moving, self._rows.tensor(inputs[: len(runs), :count]))
         outputs[: len(runs), :count] = self._predicted[: len(runs)].detach().cpu().numpy()
 
     def descend(self, runs: Runs, count: int, inputs: Any, gradient: Any) -> None:
         """See `apel.learners.deep.engines`; of the runs of one call."""
-        assert self._predicted is not None and self._moving is not None  # noqa: PT018, S101 - `predict` comes before it
+        assert self._predicted is not None  # noqa: S101 - `predict` comes before it
         slope = self._rows.tensor(np.ascontiguousarray(gradient[: len(runs), :count]))
-        (gradients,) = torch.autograd.grad(self._predicted, self._moving, slope)
-        self._moving = self._predicted = None
+        found = torch.autograd.grad(self._predicted, self._moving, slope)
+        gradients = torch.zeros(len(slope), self.layout.size, device=slope.device)
+        for place, one in zip(self.layout.unpack(gradients), found, strict=True):
+            place.copy_(one)
+        self._moving, self._predicted = [], None
         if self._descent.largest_norm > 0.0:
             if self._descent.by_variable:
                 clip_each_variable(gradients, self.layout, self._descent.largest_norm)
@@ -130,8 +135,10 @@ class StackedNetwork:
 
     def values(self, rows: Tensor, inputs: Tensor) -> Tensor:
         """``[A, B, outputs]`` of parameters ``[A, P]`` and inputs ``[A, B, inputs]``."""
-        architecture = self.architecture
-        variables = iter(self.layout.unpack(rows))
+        return self._values(self.layout.unpack(rows), inputs)
+
+    def _values(self, unpacked: Sequence[Tensor], inputs: Tensor) -> Tensor:
+        architecture, variables = self.architecture, iter(unpacked)
         given = inputs.reshape(*inputs.shape[:2], *architecture.shape)
         given = given.movedim(-1, 2) if architecture.channels_last else given
         found, heads = list[Tensor](), list[Tensor]()
@@ -139,10 +146,15 @@ class StackedNetwork:
             x = given if layer.source == INPUT else found[layer.source]
             weight, bias = next(variables), next(variables)
             if isinstance(layer, Dense):
-                found.append(_ACTIVATIONS[layer.activation](_dense(x.flatten(2), weight, bias)))
+                y = _dense(x.flatten(2), weight, bias)
+                if getattr(layer, "normalised", False):
+                    y = torch.nn.functional.layer_norm(y, y.shape[-1:], eps=1e-5)
+                found.append(_ACTIVATIONS[layer.activation](y))
                 heads += found[-1:] if layer.column is not None else []
             else:
-                found.append(torch.relu(_convolve(layer, x, weight, bias)))
+                convolve = _convolve_together if x.is_cuda else _convolve_one_by_one
+                x = torch.nn.functional.pad(x, (*layer.margins(x.shape[-1]), *layer.margins(x.shape[-2])))
+                found.append(torch.relu(convolve(x, weight, bias, layer.stride)))
         if architecture.dueling:
             advantage, value = heads
             return value + advantage - advantage.mean(-1, keepdim=True)
@@ -157,6 +169,9 @@ class StackedNetwork:
 
 def _dense(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """``x W + b``: ``[A, B, inputs]`` to ``[A, B, outputs]``."""
+    if x.is_cuda:
+        # There all calls have one shape.
+        return torch.baddbmm(bias.unsqueeze(1), x, weight)
     if weight.shape[-1] == 1:
         # A batched matrix product with one column rounds differently from one number of runs to another, and a run's
         # result must not depend on its neighbours.
@@ -168,9 +183,22 @@ def _dense(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     return torch.baddbmm(bias.unsqueeze(1), x, weight)
 
 
-def _convolve(layer: Convolution, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """``[A, B, channels, height, width]`` to the same with other channels."""
-    x = torch.nn.functional.pad(x, (*layer.margins(x.shape[-1]), *layer.margins(x.shape[-2])))
+def _convolve_one_by_one(x: Tensor, weight: Tensor, bias: Tensor, stride: int) -> Tensor:
+    """``[A, B, channels, height, width]`` to the same with other channels, for the CPU."""
     # Run by run: a batch of images keeps a core busy, and a grouped convolution's rounding depends on the groups.
     each = zip(x, weight, bias, strict=True)
-    return torch.stack([torch.nn.functional.conv2d(one, w, b, stride=layer.stride) for one, w, b in each])
+    return torch.stack([torch.nn.functional.conv2d(one, w, b, stride=stride) for one, w, b in each])
+
+
+def _convolve_together(x: Tensor, weight: Tensor, bias: Tensor, stride: int) -> Tensor:
+    """The same for a GPU, which is kept busy by all runs at once: one batched product of patches and filters.
+
+    It takes the library of products alone, whose results are reproducible (see `open_device`); those of cuDNN's
+    convolutions are not all, and many groups of few channels are slow with them.
+    """
+    runs, batch, filters, kernel = *x.shape[:2], *weight.shape[1:4:2]
+    patches = x.unfold(3, kernel, stride).unfold(4, kernel, stride)
+    height, width = patches.shape[3:5]
+    columns = patches.permute(0, 1, 3, 4, 2, 5, 6).reshape(runs, batch * height * width, -1)
+    found = torch.baddbmm(bias.unsqueeze(1), columns, weight.flatten(2).transpose(1, 2))
+    return found.view(runs, batch, height, width, filters).permute(0, 1, 4, 2, 3)
