@@ -41,9 +41,10 @@ def open_device(name: str) -> Any:
 def _settle_gpu() -> None:
     """What the same rows need on a GPU, before it multiplies for the first time.
 
-    Products are all that it computes whose rounding is anybody's choice. In TF32, if something has turned it on, they
-    have 10 bits of a fraction instead of 23. And cuBLAS promises the same bits from call to call where it has a
-    workspace of a fixed size (NVIDIA's manual of cuBLAS, *Results reproducibility*).
+    It is products alone whose rounding is a matter of settings; nothing here calls cuDNN. In TF32, which other code may
+    have turned on, they have 10 bits of a fraction instead of 23. And cuBLAS promises the same bits from call to call,
+    whatever else the GPU does, where its workspace has a fixed size (NVIDIA's manual of cuBLAS, *Results
+    reproducibility*).
     """
     import torch
 
