@@ -204,6 +204,32 @@ def test_points_and_pools(tmp_path: Path) -> None:
         judge([ambiguous], [store])
 
 
+def test_runs_in_which_another_arm_gets_there(tmp_path: Path) -> None:
+    """Q_red meets the cap in the last two runs of four: APEL takes 1 and 2 episodes in the others, 3 and 4 there."""
+    rows = {
+        "arm": ["APEL"] * 4 + ["Q_red"] * 4,
+        "sweep": [""] * 8,
+        "run_index": [*range(4)] * 2,
+        "train_time": [1.0, 2.0, 3.0, 4.0, 2.0, 4.0, 5000.0, 5000.0],
+        "censored": [False] * 6 + [True] * 2,
+    }
+    store = stored(tmp_path, "distractor-maze", rows)
+    alone = {"of": "mean", "metric": "train_time", "arms": ["APEL"]}
+    claims = [claim(statistic=alone | {"given": {"arm": "Q_red", "censored": censored}}) for censored in (False, True)]
+    able, unable = judge(claims, [store])
+    assert able.estimate
+    assert unable.estimate
+    assert (able.num_runs, able.estimate.value, unable.num_runs, unable.estimate.value) == (2, 1.5, 2, 3.5)
+    assert [str(one.statistic) for one in claims] == [
+        "mean of train_time: APEL; where Q_red gets there",
+        "mean of train_time: APEL; where Q_red meets the cap",
+    ]
+    never = claim(statistic=alone | {"given": {"arm": "APEL", "censored": True}})
+    assert judge([never], [store])[0].ruling == "missing"
+    with pytest.raises(SpecError, match="claim one: found arm 'red', expected some of"):
+        judge([claim(statistic=alone | {"given": {"arm": "red", "censored": True}})], [store])
+
+
 def test_recorded_episodes(tmp_path: Path) -> None:
     """Concentrations of the second learner are 10 · run + episode: windows 0–1 and 4–5 of run 0 and 1."""
     rows = {key: values[:2] for key, values in two_arms(2).items()}
@@ -260,6 +286,11 @@ def test_misnamed(tmp_path: Path, statistic: dict[str, Any], message: str) -> No
         ("direction: above", "direction: over", r"mine.yaml:7: direction"),
         ("threshold: 1", "treshold: 1", r"mine.yaml:8: treshold"),
         ("metric: train_time", "metric: train_time, over: slope", r"over: expected with an axis"),
+        (
+            "metric: train_time",
+            "metric: train_time, axis: n, over: excess",
+            "values: expected for excess, the first of them",
+        ),
         (
             "direction:",
             "experiment: steady-state\n    direction:",
@@ -431,7 +462,8 @@ def test_shipped_claims_name_what_is_shipped() -> None:
     assert len(claims) >= 90
     for one in claims:
         experiment, statistic = experiments[one.experiment], one.statistic
-        assert set(statistic.arms) <= {*experiment.arms, *experiment.hindsight}, one.id
+        given = [statistic.given.arm] if statistic.given else []
+        assert {*statistic.arms, *given} <= {*experiment.arms, *experiment.hindsight}, one.id
         points = [at.point.values for at in Plan.of(experiment).arm_points if at.arm in statistic.arms]
         assert {statistic.axis, *statistic.pool} - {None} <= set().union(*points), one.id
         for axis, value in [*statistic.where.items(), *((statistic.axis, value) for value in statistic.values or [])]:
