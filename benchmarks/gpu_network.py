@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import Tensor
 
 from apel.experience.frame_stacking import stacked_space
 from apel.learners.banks.batched_learner import Transitions
-from apel.learners.deep import stacked_network
 from apel.learners.deep.dqn import BatchedDqn, sample, update
 from apel.learners.deep.engines import OTHER
+from apel.learners.deep.stacked_network import StackedNetwork
+from apel.learners.deep.stacked_rows import clip_each_variable
 from benchmarks.gpu_rates import shipped
 
 STACK, SIDE, ACTIONS, REMEMBERED = 4, 84, 4, 200
@@ -90,7 +90,7 @@ def network_parts(network: Any, runs: Any, batch: Any, device: str, seconds: flo
         with torch.no_grad():
             network.values(rows.of(network._online, runs), given)
 
-    clip = stacked_network.clip_each_variable
+    clip = clip_each_variable
     calls: dict[str, Callable[[], object]] = {
         "inputs to the device": lambda: rows.tensor(batch.inputs[: len(runs)]),
         "evaluate": lambda: network.evaluate(OTHER, runs, size, batch.next_inputs, batch.next_outputs),
@@ -118,7 +118,7 @@ def atari(count: int, device: str, lanes: int, seconds: float) -> dict[str, Any]
         "act": milliseconds(act, device, part),
         "minibatch": milliseconds(lambda: sample(arrays.core, runs, arrays.batch), device, part),
     }
-    is_stacked = isinstance(learner.acting, stacked_network.StackedNetwork)
+    is_stacked = isinstance(learner.acting, StackedNetwork)
     whole = update.py_func if is_stacked else update
 
     def updates() -> None:
@@ -134,61 +134,19 @@ def atari(count: int, device: str, lanes: int, seconds: float) -> dict[str, Any]
     return found
 
 
-def grouped(x: Tensor, weight: Tensor, bias: Tensor, stride: int) -> Tensor:
-    """Convolutions of all runs as one with a group for each."""
-    runs, batch = x.shape[:2]
-    images = x.transpose(0, 1).reshape(batch, runs * x.shape[2], *x.shape[3:])
-    filters, offsets = weight.reshape(-1, *weight.shape[2:]), bias.reshape(-1)
-    found = torch.nn.functional.conv2d(images, filters, offsets, stride=stride, groups=runs)
-    return found.view(batch, runs, -1, *found.shape[2:]).transpose(0, 1)
-
-
-def forms(count: int, device: str, seconds: float) -> dict[str, float]:
-    """Forward and backward of the network for Atari with other forms of the convolution, and with TF32."""
-    learner, _, _ = player(count, device, count)
-    arrays, runs = learner.learner, np.arange(count)
-    sample(arrays.core, runs, arrays.batch)
-    ours = stacked_network._convolve_together
-    found = dict[str, float]()
-    try:
-        for name, form in {
-            "batched product": ours,
-            "one by one": stacked_network._convolve_one_by_one,
-            "grouped": grouped,
-        }.items():
-            stacked_network._convolve_together = form
-            parts = network_parts(learner.acting, runs, arrays.batch, device, seconds)
-            found[name] = parts["forward and backward alone"]
-        stacked_network._convolve_together = ours
-        torch.set_float32_matmul_precision("high")
-        parts = network_parts(learner.acting, runs, arrays.batch, device, seconds)
-        found["batched product, TF32"] = parts["forward and backward alone"]
-    finally:
-        stacked_network._convolve_together = ours
-        torch.set_float32_matmul_precision("highest")
-    return found
-
-
 def measured(device: str, seconds: float) -> Iterator[dict[str, Any]]:
     """All cases that fit into the time."""
     until = time.perf_counter() + seconds
-    if device == "cpu":
-        cases = [("atari", 1, 1)]
-    else:
-        sizes = [(1, 1), (4, 4), (16, 16), (1, 32)]
-        cases = [("atari", *each) for each in sizes] + [("forms", each, each) for each in (1, 4, 16)]
-    for i, (part, count, lanes) in enumerate(cases):
-        label = {"part": part, "runs": count, "lanes": lanes, "device": device}
+    cases = [(1, 1)] if device == "cpu" else [(1, 1), (4, 4), (16, 16), (1, 32)]
+    for i, (count, lanes) in enumerate(cases):
+        label = {"part": "atari", "runs": count, "lanes": lanes, "device": device}
         left = until - time.perf_counter()
         if left < 1.0:
             yield {**label, "error": "no time left"}
             continue
         try:
             share = min(0.6 * left / (len(cases) - i), 8.0)
-            yield {
-                **label,
-                **(atari(count, device, lanes, share) if part == "atari" else forms(count, device, share / 4)),
-            }
+            yield {**label, **atari(count, device, lanes, share)}
         except Exception as error:  # noqa: BLE001 - the others are still worth measuring
             yield {**label, "error": repr(error)}
 

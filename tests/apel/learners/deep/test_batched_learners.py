@@ -60,6 +60,7 @@ LEARNERS: dict[str, tuple[Callable[..., BatchedDeepLearner], dict[str, Any]]] = 
         {**ACER, "trust_region": {"bound": 0.1, "average": 0.9}, "network": {"hidden": [33], "activation": "relu"}},
     ),
     "acer minimalrl": (BatchedAcer, {**ACER, "preset": "minimalrl"}),
+    "acer Poisson": (BatchedAcer, {**ACER, "replay_count": "poisson"}),
     "sac": (BatchedSac, SAC),
 }
 ON_PYTORCH = "on PyTorch: "
