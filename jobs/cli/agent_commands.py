@@ -15,6 +15,7 @@ from jobs.cli.user_modules import find_user_modules
 from jobs.experiment.yaml_source import SpecError
 from jobs.progress.observers import told_if_it_lasts
 from jobs.progress.terminal import TerminalObserver, episode_bar
+from jobs.results.finding import results_at
 from jobs.results.store import ResultStore
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def _opened(results: str, wish: Wish, *, trust: bool) -> tuple[ResultStore, Scen
     from jobs.films.trust import refuse_foreign_code
     from jobs.results.provenance import of_changed_sources
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     if trust:
         find_user_modules()
     else:

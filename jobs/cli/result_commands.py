@@ -21,6 +21,7 @@ from jobs.experiment.spec_files import Group, shipped_galleries
 from jobs.experiment.yaml_source import SpecError
 from jobs.progress.observers import told_if_it_lasts
 from jobs.progress.terminal import TerminalObserver, episode_bar, summary_table
+from jobs.results.finding import results_at
 from jobs.results.places import joined
 from jobs.results.storage import Folder
 from jobs.results.store import ResultStore
@@ -44,7 +45,7 @@ def show(
     """Show the table of results, from the files alone."""
     from jobs.analysis.stored_summary import stored_summary
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     summary = stored_summary(store)
     if as_json:
         print_for_programs(summary.to_pylist())
@@ -64,7 +65,7 @@ def compare(
     from jobs.analysis.answer.comparison import compare as compare_results
     from jobs.analysis.answer.words import answer_json, answer_lines
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     named = None if arms is None else arms.split(",")
     if named is not None:
         Plan.of(store.experiment()).only(named)  # refuses those that the experiment does not have
@@ -91,7 +92,7 @@ def figures(
     if (meant := did_you_mean(results, galleries)) and not Path(results).exists():
         message = f"found no folder {results!r}, expected that of an experiment's results, or a gallery{meant}"
         raise SpecError(message)
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     for path in (*draw(store, store.experiment()), write_report(store)):
         OUT.print(path, highlight=False)
 
@@ -202,7 +203,7 @@ def watch(
         if is_given:
             message = f"{name}: found it with {results}, which are results, expected it with an agent alone"
             raise SpecError(message)
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     if trust:
         find_user_modules()
     else:

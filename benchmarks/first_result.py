@@ -1,0 +1,111 @@
+"""From an empty folder to the first result: where the time goes. Needs git, make, Python's headers and a package index.
+
+::
+
+    python -m benchmarks.first_result fe37649 HEAD --repetitions 2
+
+Each revision is cloned into an empty folder, and ``make run`` is called there, the revisions in turn. Packages that pip has fetched once
+come from its cache, so the first repetition, which fills it, is not counted. Stages end with lines that the commands print. Processor
+time is that of all processes which a stage has started, those of Ray included: they are adopted when their parents end, and waited for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent
+STAGES = (
+    ("compiling", "the command is imported, the experiment checked"),
+    ("Ray with", "compiling"),
+    ("runs in", "Ray's start, the job"),
+    ("report.html", "tables, figures, report"),
+)
+_ADOPT_ORPHANS = 36
+"""PR_SET_CHILD_SUBREAPER of Linux' prctl."""
+
+
+def main() -> None:
+    """Print as JSON."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("revisions", nargs="+")
+    parser.add_argument("--repetitions", type=int, default=2)
+    parser.add_argument("--python", default="python3")
+    arguments = parser.parse_args()
+    ctypes.CDLL(None).prctl(_ADOPT_ORPHANS, 1, 0, 0, 0)
+    found: list[dict[str, Any]] = []
+    for repetition in range(arguments.repetitions + 1):
+        for revision in arguments.revisions:
+            with tempfile.TemporaryDirectory() as name:
+                one = {"revision": revision, "counted": repetition > 0, **first_result(revision, Path(name), arguments)}
+            print(json.dumps(one), flush=True)
+            found.append(one)
+    stored = ROOT / "benchmarks" / "results" / "first_result.json"
+    stored.write_text(json.dumps({"python": arguments.python, "all": found}, indent=1) + "\n")
+
+
+def first_result(revision: str, folder: Path, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Seconds of wall and processor time of each stage, and what is installed."""
+    subprocess.run(["git", "clone", "--quiet", ROOT, folder / "apel"], check=True)
+    here = folder / "apel"
+    subprocess.run(["git", "checkout", "--quiet", revision], cwd=here, check=True)
+    environment = {key: value for key, value in os.environ.items() if key not in {"PYTHONPATH", "VIRTUAL_ENV"}}
+    make = ["make", f"PYTHON={arguments.python}"]
+    is_lighter = "$(SERVICE)" in (here / "Makefile").read_text()
+    stamp = ".venv/.service" if is_lighter else ".venv/.installed"
+    installed = timed([*make, stamp], here, environment)
+    size = subprocess.run(["du", "-sm", ".venv"], cwd=here, check=True, capture_output=True, text=True).stdout
+    return {
+        "installation": installed["all"],
+        "megabytes": int(size.split()[0]),
+        "first": timed([*make, "run"], here, environment),
+        "second": timed([".venv/bin/apel", "run", "distractor-maze", "--fresh"], here, environment),
+    }
+
+
+def timed(command: list[str], here: Path, environment: dict[str, str]) -> dict[str, dict[str, float]]:
+    """Seconds up to the line that ends each stage, and from the command to its end."""
+    begun, before = time.monotonic(), _processor_seconds()
+    process = subprocess.Popen(
+        command, cwd=here, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    marks: dict[str, float] = {}
+    lines = []
+    for line in process.stdout:
+        lines.append(line)
+        for mark, stage in STAGES:
+            if mark in line:
+                marks.setdefault(stage, time.monotonic() - begun)
+    if process.wait():
+        sys.exit(f"{command} failed: {''.join(lines[-20:])}")
+    wall = time.monotonic() - begun
+    _wait_for_the_adopted()
+    stages = {stage: {"until": round(seconds, 1)} for stage, seconds in marks.items()}
+    return {**stages, "all": {"wall": round(wall, 1), "processor": round(_processor_seconds() - before, 1)}}
+
+
+def _wait_for_the_adopted() -> None:
+    while True:
+        try:
+            os.waitpid(-1, 0)
+        except ChildProcessError:
+            return
+
+
+def _processor_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+if __name__ == "__main__":
+    main()
