@@ -37,5 +37,5 @@ def test_no_results(tmp_path: Path) -> None:
     elsewhere = stored(tmp_path / "elsewhere")
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "1a").symlink_to(elsewhere)
-    with pytest.raises(StoreError, match="here: found no runs.parquet, expected the folder of a finished experiment"):
+    with pytest.raises(StoreError, match=r"here: found no runs\.parquet, expected the folder of a finished experiment"):
         results_at(str(tmp_path / "here"), print).runs()
