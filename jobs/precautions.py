@@ -39,6 +39,12 @@ def refuse_shadowing(folders: Sequence[Path] | None = None) -> None:
     places = dict.fromkeys(folders or (Path.cwd(), Path(sys.argv[0] or ".").resolve().parent))
     found = [_module_in(folder, name) for folder in places for name in (*OURS, *_DEPENDENCIES)]
     hiding = [str(path) for path in found if path is not None and not _is_the_real_one(path)]
+    if clones := [folder for folder in places if all(str(folder / one / "__init__.py") in hiding for one in OURS)]:
+        message = (
+            f"{clones[0]}: found a clone of this program, which processes of a job would load in the place of the copy "
+            f"that is installed, expected them to be one: pip install -e {clones[0]}, or run the command elsewhere"
+        )
+        raise SpecError(message)
     if hiding:
         message = (
             f"{', '.join(hiding)}: found {'a module' if len(hiding) == 1 else 'modules'} of yours called like a "

@@ -46,12 +46,13 @@ def run(
     which: ExperimentOptions,
     options: RunOptions,
     here: HereOptions,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print neither progress nor tables.")] = False,
     stop_in_debugger: Annotated[
-        bool, typer.Option("--debug", help="Play runs here until one fails, and open Python's debugger there.")
+        bool,
+        typer.Option("--debug", help="Play runs in this process until one fails, and open Python's debugger there."),
     ] = False,
 ) -> None:
-    """Run an experiment, or go on where it stopped."""
+    """Run an experiment, or resume it where it stopped."""
     settings = options.settings(here, current_job())
     experiment = which.load(options.max_runs)
     find_user_modules()
@@ -79,7 +80,7 @@ def reproduce(
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "packed",
     here: HereOptions,
 ) -> None:
-    """Run all experiments of a group, or go on where that stopped; then figures, claims, and one report of it all."""
+    """Run or resume all experiments of a group, then draw the figures, check the claims, and write one report."""
     _expect("--scale", scale, get_args(Scale), "smoke, tenth or full")
     _expect("--group", group, get_args(Group), ", ".join(get_args(Group)))
     settings = RunOptions(placement=placement).settings(here, current_job())

@@ -54,6 +54,15 @@ def test_names_that_do_not_collide(tmp_path: Path) -> None:
         refuse_shadowing([tmp_path])
 
 
+def test_clone_beside_a_copy(tmp_path: Path) -> None:
+    """Who has installed a copy, and runs commands in the clone that it came from, is told of the remedy."""
+    for name in ("apel", "cluster", "jobs"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    with pytest.raises(SpecError, match=rf"found a clone of this program.*: pip install -e {tmp_path}, or run"):
+        refuse_shadowing([tmp_path])
+
+
 def test_all_that_collide_are_named(
     small: Path,
     capsys: pytest.CaptureFixture[str],
