@@ -41,15 +41,15 @@ def refuse_shadowing(folders: Sequence[Path] | None = None) -> None:
     hiding = [str(path) for path in found if path is not None and not _is_the_real_one(path)]
     if clones := [folder for folder in places if all(str(folder / one / "__init__.py") in hiding for one in OURS)]:
         message = (
-            f"{clones[0]}: found a clone of this program, which processes of a job would load in the place of the copy "
-            f"that is installed, expected them to be one: pip install -e {clones[0]}, or run the command elsewhere"
+            f"{clones[0]}: found a clone of this program, which a job's processes would load in place of the installed "
+            f"copy, expected them to be the same: pip install -e {clones[0]}, or run the command elsewhere"
         )
         raise SpecError(message)
     if hiding:
         message = (
-            f"{', '.join(hiding)}: found {'a module' if len(hiding) == 1 else 'modules'} of yours called like a "
-            "package of this program, or one that it rests on, which would be hidden in the processes of a job, "
-            "expected other names: rename what stands in the way"
+            f"{', '.join(hiding)}: found {'a module' if len(hiding) == 1 else 'modules'} of yours with the name of a "
+            "package that a job needs, and whose processes would confuse the two, expected other names: rename what "
+            "stands in the way"
         )
         raise SpecError(message)
 

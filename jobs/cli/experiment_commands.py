@@ -84,10 +84,10 @@ def init(
     text = first_file(name_for(file, environment), environment)
     with file.open("x", encoding="utf-8") as written:
         written.write(f"{text}\n")
-    OUT.print(f"{file} is written: apel run {file}", highlight=False)
+    OUT.print(f"wrote {file}: apel run {file}", highlight=False)
     arm = list(load_experiment(str(file)).arms)[-1]
     first = f"apel run {file} --arms {arm} --runs 1"
-    OUT.print(f"one trained agent first, and the rest later: {first}", highlight=False, soft_wrap=True)
+    OUT.print(f"to train one ensemble first: {first}", highlight=False, soft_wrap=True)
 
 
 def schema() -> None:

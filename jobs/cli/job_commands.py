@@ -161,7 +161,7 @@ def pack(results: str) -> None:
 
 
 def _say_submitted(job: Job) -> None:
-    OUT.print(f"{job.id} is at work on this already" if job.was_running else job.id, highlight=False)
+    OUT.print(f"{job.id} is already running this" if job.was_running else job.id, highlight=False)
 
 
 def _follow(job: Job) -> None:

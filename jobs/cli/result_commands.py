@@ -262,6 +262,8 @@ def _tell_film(scene: Scene, film: Film) -> None:
     what = f"{scene.label} · episode {scene.episode:,}: {film.learner} played, return {film.episode_return:.6g}"
     OUT.print(f"{what}, {film.length:,} steps", highlight=False, markup=False)
     if film.every > 1:
-        OUT.print(f"every {film.every} steps are one picture; --max-frames takes more", highlight=False)
+        OUT.print(f"every {film.every} steps make one frame; raise --max-frames for more", highlight=False)
     if not film.num_checked:
-        OUT.print("no episode of this run up to here was recorded, with which to compare", highlight=False)
+        OUT.print(
+            "no episode up to here was recorded, so there is nothing to check against", highlight=False
+        )

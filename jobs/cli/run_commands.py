@@ -150,7 +150,7 @@ def _finish(experiment: Experiment, outcome: Outcome, settings: Settings, *, qui
             )
         OUT.print(summary_table(outcome.summary, store.manifest()))
         if outcome.num_computed:
-            OUT.print(f"{outcome.num_computed} runs in {outcome.seconds:.1f} s, Ray's start apart", highlight=False)
+            OUT.print(f"{outcome.num_computed} runs in {outcome.seconds:.1f} s, without Ray's start", highlight=False)
         for name in ("runs.parquet", "summary.parquet", "episodes/"):
             OUT.print(store.folder.location(name), highlight=False)
         for path in pages:
@@ -166,7 +166,7 @@ def _tell_failures(outcome: Outcome) -> None:
     for line in grouped(outcome.failures):
         print_error(line)
     if any(failure.trace for failure in outcome.failures):
-        print_error(f"whole tracebacks: {outcome.store.folder.location(FAILURES)}; --debug stops at the first of them")
+        print_error(f"full tracebacks: {outcome.store.folder.location(FAILURES)}; --debug stops at the first of them")
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def _graceful_stop() -> Iterator[Callable[[], bool]]:
     """The first signal lets shards write checkpoints, a second one ends everything at once."""
 
     def say() -> None:
-        ERR.print("stopping: shards under way write checkpoints; once more to end at once", highlight=False)
+        ERR.print("stopping: running shards write checkpoints; interrupt again to stop at once", highlight=False)
 
     try:
         with stop_on_signals(say) as stopping:

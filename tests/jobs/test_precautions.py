@@ -38,7 +38,7 @@ def test_names_that_collide(
     path.write_text("def kmeans(points, k):\n    return points[:k]\n")
     code, error = call(capsys, command, str(small))
     assert code == 2
-    assert f"error: {path}: found a module of yours called like a package" in error
+    assert f"error: {path}: found a module of yours with the name of a package" in error
     assert len(error.splitlines()) == 1
 
 

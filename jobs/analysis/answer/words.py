@@ -23,8 +23,8 @@ _MOST_RUNS = 10_000
 _POWER = 0.8
 _HEADS: dict[Kind, str] = {"return": "return", "area": "area", "episodes": "episodes", "steps": "steps"}
 _SELECTED = (
-    "Late return: of the last tenth, in the episodes that a learner played. Who plays is selected, so that one that "
-    "seldom did was seen where it stood well."
+    "Late return: mean over the last tenth, in the episodes that a learner played. The selector picks who plays, so a "
+    "learner that rarely played was seen only when it looked good."
 )
 _OF: dict[Kind, str] = {
     "return": "It returns {value} in the last tenth of a run{interval}",
@@ -91,7 +91,7 @@ def _advice(answer: Answer) -> Iterator[str]:
     yield f"{'There is only' if is_alone else 'Use' if verdict.best else 'If you have to choose now, use'} {chosen}."
     yield f"{_OF[ranking.kind].format(value=value, interval=interval)}."
     if place.num_at_cap:
-        yield f"{place.num_at_cap} of {place.num_runs} runs did not get there, and count with what they played."
+        yield f"{place.num_at_cap} of {place.num_runs} runs did not get there, and count as if they did at their end."
     if not is_alone:
         yield from _decided(verdict) if verdict.best else _undecided(verdict, ranking)
     elif answer.inside:
@@ -207,7 +207,9 @@ def _columns(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    whole = text.replace(" %", "\u00a0%")  # a number and its unit stay on one line
+    lines = textwrap.wrap(whole, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\u00a0", " ") for line in lines]
 
 
 def _number(value: float) -> str:

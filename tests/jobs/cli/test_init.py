@@ -31,7 +31,7 @@ class Switches(gymnasium.Env[int, object]):
 def test_tables(capsys: pytest.CaptureFixture[str]) -> None:
     """A finite environment gets tables, the threshold that Gymnasium knows, and a comment for every learner."""
     told = printed(capsys, "init", "lake.yaml", "--env", "FrozenLake-v1")
-    assert "lake.yaml is written" in told
+    assert "wrote lake.yaml" in told
     assert "apel run lake.yaml --arms ensemble --runs 1" in told
     experiment = load_experiment("lake.yaml")
     assert experiment.name == "lake"
