@@ -264,6 +264,4 @@ def _tell_film(scene: Scene, film: Film) -> None:
     if film.every > 1:
         OUT.print(f"every {film.every} steps make one frame; raise --max-frames for more", highlight=False)
     if not film.num_checked:
-        OUT.print(
-            "no episode up to here was recorded, so there is nothing to check against", highlight=False
-        )
+        OUT.print("no episode up to here was recorded, so there is nothing to check against", highlight=False)

@@ -150,7 +150,8 @@ def _finish(experiment: Experiment, outcome: Outcome, settings: Settings, *, qui
             )
         OUT.print(summary_table(outcome.summary, store.manifest()))
         if outcome.num_computed:
-            OUT.print(f"{outcome.num_computed} runs in {outcome.seconds:.1f} s, without Ray's start", highlight=False)
+            runs = "1 run" if outcome.num_computed == 1 else f"{outcome.num_computed} runs"
+            OUT.print(f"{runs} in {outcome.seconds:.1f} s, without Ray's start", highlight=False)
         for name in ("runs.parquet", "summary.parquet", "episodes/"):
             OUT.print(store.folder.location(name), highlight=False)
         for path in pages:
