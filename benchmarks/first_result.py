@@ -5,9 +5,9 @@
     python -m benchmarks.first_result fe37649 HEAD --repetitions 2
 
 Each revision is cloned into an empty folder, and ``make run`` is called there, the revisions in turn. Packages that pip
-has fetched once come from its cache: the first repetition fills it, and tells of the cache as it was found. Stages end
-with lines that the commands print. Processor time is that of all processes which a stage has started, those of Ray
-included: they are adopted when their parents end, and waited for.
+has fetched once come from its cache: the first repetition finds it as it is, the others find it warm. Stages end with
+lines that the commands print. Processor time is that of all processes below this one, which adopts those whose parents
+end, as Ray's do; it is read twice a second, so that what a process does in its last moments is missed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ import argparse
 import ctypes
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 ROOT = Path(__file__).parent.parent
 STAGES = (
@@ -78,36 +80,54 @@ def first_result(revision: str, folder: Path, arguments: argparse.Namespace) -> 
 
 def timed(command: list[str], here: Path, environment: dict[str, str]) -> dict[str, dict[str, float]]:
     """Seconds up to the line that ends each stage, and from the command to its end."""
-    begun, before = time.monotonic(), _processor_seconds()
+    begun, meter = time.monotonic(), ProcessorMeter()
     process = subprocess.Popen(
         command, cwd=here, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    marks: dict[str, float] = {}
+    meter.start()
+    stages: dict[str, dict[str, float]] = {}
     lines = []
     for line in process.stdout or ():
         lines.append(line)
         for mark, stage in STAGES:
-            if mark in line:
-                marks.setdefault(stage, time.monotonic() - begun)
+            if mark in line and stage not in stages:
+                stages[stage] = {"until": round(time.monotonic() - begun, 1), "processor": round(meter.seconds(), 1)}
     if process.wait():
         sys.exit(f"{command} failed: {''.join(lines[-20:])}")
     wall = time.monotonic() - begun
-    _wait_for_the_adopted()
-    stages = {stage: {"until": round(seconds, 1)} for stage, seconds in marks.items()}
-    return {**stages, "all": {"wall": round(wall, 1), "processor": round(_processor_seconds() - before, 1)}}
+    return {**stages, "all": {"wall": round(wall, 1), "processor": round(meter.stop(), 1)}}
 
 
-def _wait_for_the_adopted() -> None:
-    while True:
-        try:
-            os.waitpid(-1, 0)
-        except ChildProcessError:
-            return
+class ProcessorMeter(threading.Thread):
+    """Processor time of all processes below this one since it was made, those of Ray, which has its own, included."""
 
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self._used: dict[tuple[int, float], float] = {}
+        self._over = threading.Event()
 
-def _processor_seconds() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    def run(self) -> None:
+        """Look until it is stopped."""
+        while not self._over.wait(0.5):
+            self._look()
+
+    def seconds(self) -> float:
+        """So far."""
+        return sum(self._used.copy().values())
+
+    def stop(self) -> float:
+        """The last look."""
+        self._over.set()
+        self.join()
+        return self.seconds()
+
+    def _look(self) -> None:
+        for one in psutil.Process().children(recursive=True):
+            try:
+                times = one.cpu_times()
+            except psutil.Error:  # it has ended
+                continue
+            self._used[one.pid, one.create_time()] = times.user + times.system
 
 
 if __name__ == "__main__":
