@@ -1,4 +1,4 @@
-# make run | test | check | docs | bench | mutation | clean: each sets up .venv first, from nothing but Python 3.11+ and a package index.
+# make run | test | check | docs | links | bench | mutation | clean: each sets up .venv first, from nothing but Python 3.11+ and a package index.
 PYTHON ?= python3
 # Among so many processes the tests are shared out; one of them plays all that needs a Ray.
 WORKERS ?= 2
@@ -9,7 +9,7 @@ STAMP := .venv/.installed
 SERVICE := .venv/.service
 DOCS := .venv/.docs
 
-.PHONY: run test check lint spelling types doctests docs format bench mutation clean
+.PHONY: run test check lint spelling types doctests docs links format bench mutation clean
 .DEFAULT_GOAL := run
 
 $(STAMP): EXTRA = dev
@@ -49,6 +49,10 @@ doctests: $(STAMP)
 # The site, in build/site; nothing in it asks another host. Its search needs a server: python -m http.server -d build/site
 docs: $(DOCS)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# Links to other hosts too, which needs them to answer; those within the site fail `make docs`, those of other pages a test.
+links: docs
+	$(BIN)/linkchecker --no-status --check-extern build/site/index.html
 
 format: $(STAMP)
 	$(BIN)/ruff format .

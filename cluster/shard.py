@@ -32,7 +32,7 @@ RecordingRule = Literal["all", "log", "none"] | Every
 
 @checked_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class EverySteps:
-    """Keep a run's model with the episode in which its steps reach a multiple of this, and at its end."""
+    """Keep a run's model with the episode in which its steps reach a multiple of ``every_steps``, and at its end."""
 
     every_steps: int = Field(ge=1)
 

@@ -87,7 +87,7 @@ def _default(parameter: Any) -> str:
     if isinstance(parameter.show_default, str):
         return _cell(parameter.show_default)
     value = parameter.default
-    if callable(value) or value in (None, False, (), [], "") or not parameter.show_default:
+    if callable(value) or value is None or value is False or value in ((), [], "") or not parameter.show_default:
         return ""
     return "on" if value is True else f"`{value}`"
 

@@ -39,11 +39,17 @@ def refuse_shadowing(folders: Sequence[Path] | None = None) -> None:
     places = dict.fromkeys(folders or (Path.cwd(), Path(sys.argv[0] or ".").resolve().parent))
     found = [_module_in(folder, name) for folder in places for name in (*OURS, *_DEPENDENCIES)]
     hiding = [str(path) for path in found if path is not None and not _is_the_real_one(path)]
+    if clones := [folder for folder in places if all(str(folder / one / "__init__.py") in hiding for one in OURS)]:
+        message = (
+            f"{clones[0]}: found a clone of this program, which a job's processes would load in place of the installed "
+            f"copy, expected them to be the same: pip install -e {clones[0]}, or run the command elsewhere"
+        )
+        raise SpecError(message)
     if hiding:
         message = (
-            f"{', '.join(hiding)}: found {'a module' if len(hiding) == 1 else 'modules'} of yours called like a "
-            "package of this program, or one that it rests on, which would be hidden in the processes of a job, "
-            "expected other names: rename what stands in the way"
+            f"{', '.join(hiding)}: found {'a module' if len(hiding) == 1 else 'modules'} of yours with the name of a "
+            "package that a job needs, and whose processes would confuse the two, expected other names: rename what "
+            "stands in the way"
         )
         raise SpecError(message)
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import re
 import runpy
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
+import pytest
 import yaml
 
-DOCS = Path(__file__).parent.parent / "docs"
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "examples").glob("*.md")), *sorted(DOCS.rglob("*.md"))]
 
 
 def test_reference_is_current() -> None:
@@ -38,3 +42,35 @@ def test_every_figure_is_shown() -> None:
     shown = re.findall(r"\]\(\.\./reproduction/figures/(.*?)\)", (DOCS / "reference" / "figures.md").read_text())
     figures = DOCS / "reproduction" / "figures"
     assert sorted(shown) == sorted(str(figure.relative_to(figures)) for figure in figures.rglob("*.png"))
+
+
+def links(page: Path) -> list[str]:
+    """Where a page's links and pictures lead; what stands in code is none."""
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.DOTALL)
+    return re.findall(r"\]\(\s*([^)\s]*)[^)]*\)", text) + re.findall(r"<(https?:[^>]*)>", text)
+
+
+def anchors(page: Path) -> set[str]:
+    """What a link may name behind #: ids, and headings as GitHub and the site make anchors of them."""
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    headings = (re.sub(r"[`*]", "", one).lower() for one in re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE))
+    plain = {re.sub(r"[^\w\s-]", "", one).strip().replace(" ", "-") for one in headings}
+    return plain | {re.sub(r"-+", "-", one) for one in plain} | set(re.findall(r"id=\"(.*?)\"", text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links(page: Path) -> None:
+    """Links within the repository lead somewhere, also those of pages that the site does not have.
+
+    Whether other hosts answer is asked by `make links` alone; here their addresses need only be whole.
+    """
+    for link in links(page):
+        parts = urlsplit(link)
+        if parts.scheme:
+            is_own = parts.hostname in {"127.0.0.1", "localhost"}
+            assert (parts.scheme == "https" and "." in (parts.hostname or "")) or is_own, link
+            continue
+        target = page.parent / unquote(parts.path) if parts.path else page
+        assert target.exists(), f"{link}: there is no {target}"
+        if parts.fragment and target.suffix == ".md":
+            assert unquote(parts.fragment) in anchors(target), f"{link}: {target.name} has no such heading"

@@ -17,9 +17,9 @@ from tests.command_line import printed
 from tests.forks import apel
 
 ROOT = Path(__file__).parent.parent
-README, IN_PYTHON, OWN_PARTS, COMMAND_LINE, CONTAINERS = (
-    (ROOT / page).read_text()
-    for page in ("README.md", *(f"docs/{name}.md" for name in ("in-python", "own-parts", "command-line", "containers")))
+DOCS = ("in-python", "own-parts", "command-line", "containers", "first-walk")
+README, IN_PYTHON, OWN_PARTS, COMMAND_LINE, CONTAINERS, FIRST_WALK = (
+    (ROOT / page).read_text() for page in ("README.md", *(f"docs/{name}.md" for name in DOCS))
 )
 
 
@@ -108,7 +108,7 @@ def test_own_selector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_commands_exist(capsys: pytest.CaptureFixture[str]) -> None:
     """Every `apel` command and option that these pages name exists."""
     help_texts = {}
-    pages = README + OWN_PARTS + COMMAND_LINE + CONTAINERS
+    pages = README + OWN_PARTS + COMMAND_LINE + CONTAINERS + FIRST_WALK.replace("$ ", "")
     for line in re.findall(r"^(?:\s+-- )?apel [^\n#]*", pages, flags=re.MULTILINE):
         words = line.replace("--", " --").split()
         words = words[words.index("apel") + 1 :]

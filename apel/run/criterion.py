@@ -45,6 +45,10 @@ class Criterion:
 
     Attributes
     ----------
+    measure:
+        What is averaged of each episode.
+    window:
+        Number of episodes in the mean.
     below, at_least:
         Exactly one of them, as a number or as a `Threshold`.
     after:

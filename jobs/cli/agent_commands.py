@@ -15,6 +15,7 @@ from jobs.cli.user_modules import find_user_modules
 from jobs.experiment.yaml_source import SpecError
 from jobs.progress.observers import told_if_it_lasts
 from jobs.progress.terminal import TerminalObserver, episode_bar
+from jobs.results.finding import results_at
 from jobs.results.store import ResultStore
 
 if TYPE_CHECKING:
@@ -27,7 +28,9 @@ Format = Literal["agent", "onnx", "sb3"]
 Arm = Annotated[str | None, typer.Option(help="Default: the first with several learners.")]
 Sweep = Annotated[str | None, typer.Option(metavar="LABEL", help="Sweep point. Default: the first.")]
 Run = Annotated[int, typer.Option(min=0, help="Which of the arm's runs.")]
-Trust = Annotated[bool, typer.Option("--trust", help="Run the code that is named and that is not shipped.")]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Run code that the results or the agent name and APEL does not ship.")
+]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -39,21 +42,25 @@ def add_to(app: typer.Typer) -> None:
 
 def export(
     results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")],
-    destination: Annotated[Path, typer.Argument(help="A new folder; of the other formats, a .onnx or a .zip.")],
+    destination: Annotated[Path, typer.Argument(help="A new folder; for the other formats, an .onnx or a .zip file.")],
     arm: Arm = None,
     sweep: Sweep = None,
     run: Run = 0,
     learner: Annotated[
-        str | None, typer.Option(help="This one alone. Default: all; of the other formats, the best.")
+        str | None, typer.Option(help="Export only this one. Default: all; for the other formats, the best.")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="With the episode in which the run reached so many. Default: at its end.")
+        int | None,
+        typer.Option(min=1, help="As trained once the run had reached this many steps. Default: at its end."),
     ] = None,
     evaluations: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Greedy episodes that tell the best learner; 0: its selector does.")
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Greedy episodes of each, to find the best learner; with 0, ask the selector."
+        ),
     ] = 10,
     form: Annotated[
-        Format, typer.Option("--format", help="An agent of this program, ONNX, or stable-baselines3's.")
+        Format, typer.Option("--format", help="An APEL agent, ONNX, or the format of stable-baselines3.")
     ] = "agent",
     trust: Trust = False,
 ) -> None:
@@ -82,17 +89,17 @@ def export(
 def evaluate(
     target: Annotated[str, typer.Argument(metavar="AGENT|RESULTS", help="The folder of an agent, or of results.")],
     environment: Annotated[
-        str | None, typer.Option(metavar="ID", help="Default: that in which it was trained, as it was in its run.")
+        str | None, typer.Option(metavar="ID", help="Default: the one it was trained in, as it was in its run.")
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each learner.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="From which the seeds of the episodes follow.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes of each learner.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed from which those of the episodes are derived.")] = 0,
     arm: Arm = None,
     sweep: Sweep = None,
     run: Run = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON, with the return of every episode.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with the return of every episode.")] = False,
     trust: Trust = False,
 ) -> None:
-    """Play episodes with each learner of an agent, and with their ensemble: greedily, and as while they were trained.
+    """Play episodes with each learner of an agent and with their ensemble, both greedily and as in training.
 
     Nothing is learned. All play the same episodes, whose seeds are none of the training's.
     """
@@ -163,7 +170,7 @@ def _opened(results: str, wish: Wish, *, trust: bool) -> tuple[ResultStore, Scen
     from jobs.films.trust import refuse_foreign_code
     from jobs.results.provenance import of_changed_sources
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     if trust:
         find_user_modules()
     else:

@@ -14,44 +14,43 @@ from typer.main import get_command
 
 COMMANDS: dict[str, dict[str, str]] = {
     "experiment_commands": {
-        "list": "Show the experiments that are shipped.",
-        "validate": "Check an experiment: everything that it names is built once. Also says how it will be played.",
+        "list": "List the shipped experiments.",
+        "validate": "Check an experiment by building everything it names once, and say how it will be played.",
         "init": "Write a commented experiment for an environment, with the shipped learners that suit its spaces.",
-        "schema": "Print the JSON schema of an experiment file, for editors: fields, and options of every learner and "
-        "selector.",
+        "schema": "Print the JSON schema of an experiment file, for editors: its fields, and the options of every "
+        "learner and selector.",
     },
     "run_commands": {
-        "run": "Run an experiment, or go on where it stopped.",
-        "reproduce": "Run all experiments of a group, or go on where that stopped; then figures, claims, and one "
-        "report of it all.",
+        "run": "Run an experiment, or resume it where it stopped.",
+        "reproduce": "Run or resume all experiments of a group, then draw the figures, check the claims, and "
+        "write one report.",
     },
     "job_commands": {
-        "submit": "Run an experiment as a job on a cluster; the spec, and the modules of yours that it names, are sent "
-        "along.",
-        "jobs": "Show the jobs of this program on a cluster, the latest first.",
-        "status": "Show how far a job has come, arm by arm, as it says itself.",
-        "logs": "Show what a job has printed.",
-        "stop": "Let a job write checkpoints and end; `apel resume` lets it go on.",
-        "resume": "Submit a job of this machine again: it goes on where it stopped, also on a cluster that has "
+        "submit": "Run an experiment as a job on a cluster. The spec and those of your modules that it names are "
+        "sent along.",
+        "jobs": "List APEL's jobs on a cluster, latest first.",
+        "status": "Show the progress of a job, arm by arm, as the job reports it.",
+        "logs": "Show the output of a job.",
+        "stop": "Stop a job once it has written checkpoints; `apel resume` continues it.",
+        "resume": "Resubmit a job from this machine: it resumes where it stopped, even on a cluster that has "
         "forgotten it.",
-        "fetch": "Copy a job's results, as far as they are there, into a folder on this machine.",
+        "fetch": "Copy the results that a job has so far into a folder on this machine.",
     },
     "result_commands": {
         "show": "Show the table of results, from the files alone.",
         "compare": "Say which arm to use, and how sure that is, from the files alone.",
-        "figures": "Draw the figures and write the report, from the files alone; of a gallery, draw it below results/.",
-        "claims": "Hold what the dissertation claims against the results, from the files alone.",
-        "design": "Find APEL's decay ν for one of four criteria, and what to expect of it.",
-        "watch": "Film one episode of a trained ensemble: out of results, or by an agent that was exported, as it "
-        "plays now.",
+        "figures": "Draw the figures and write the report, from the files alone; or draw a gallery below results/.",
+        "claims": "Check the dissertation's claims against the results, from the files alone.",
+        "design": "Find APEL's decay ν for one of four goals, and what to expect from it.",
+        "watch": "Film one episode of a trained ensemble, from results, or played now by an exported agent.",
     },
     "agent_commands": {
         "export": "Export the trained learners of a run, as a folder of arrays and JSON that `apel.load` reads.",
-        "evaluate": "Play episodes with each learner of an agent, and with their ensemble: greedily, and as while they "
-        "were trained.",
+        "evaluate": "Play episodes with each learner of an agent and with their ensemble, both greedily and as in "
+        "training.",
     },
     "doctor_command": {
-        "doctor": "Look at this installation, this machine and the cluster: what is fine, what is not, and what to do.",
+        "doctor": "Check this installation, this machine and the cluster: what is fine, what is not, and what to do.",
     },
 }
 """Module → name of a command → the first paragraph of its help."""

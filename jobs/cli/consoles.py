@@ -68,7 +68,7 @@ def print_error(line: str) -> None:
     ERR.print(f"error: {line}", style="red")
 
 
-AsJson = Annotated[bool, typer.Option("--json", help="All of it, for programs.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 """The option of every command that prints a table."""
 
 

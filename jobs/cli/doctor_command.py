@@ -21,20 +21,20 @@ def add_to(app: typer.Typer) -> None:
 
 def doctor(
     results: Annotated[
-        str, typer.Option(envvar="APEL_RESULTS", help="Folder or URI of the results that is looked at.")
+        str, typer.Option(envvar="APEL_RESULTS", help="Folder or URI of the results to check.")
     ] = "results",
     address: Annotated[
         str | None,
         typer.Option(
             envvar="RAY_API_SERVER_ADDRESS",
             metavar="URL",
-            help="Of a cluster's dashboard that should answer.",
+            help="Dashboard of the cluster to check.",
             show_default=DEFAULT_ADDRESS,
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Look at this installation, this machine and the cluster: what is fine, what is not, and what to do.
+    """Check this installation, this machine and the cluster: what is fine, what is not, and what to do.
 
     Nothing is changed. The exit code is 1 where something will fail.
     """

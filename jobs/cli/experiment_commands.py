@@ -29,7 +29,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def list_experiments(as_json: AsJson = False) -> None:
-    """Show the experiments that are shipped."""
+    """List the shipped experiments."""
     plans = [Plan.of(load_experiment(name)) for name in shipped_experiments()]
     galleries = shipped_galleries()
     if as_json:
@@ -67,7 +67,7 @@ def list_experiments(as_json: AsJson = False) -> None:
 
 
 def init(
-    file: Annotated[Path, typer.Argument(help="The experiment file to be written: a new .yaml.")],
+    file: Annotated[Path, typer.Argument(help="The experiment file to write: a new .yaml.")],
     environment: Annotated[str, typer.Option("--env", metavar="ID", help="A Gymnasium id, or an import path.")],
 ) -> None:
     """Write a commented experiment for an environment, with the shipped learners that suit its spaces."""
@@ -84,11 +84,16 @@ def init(
     text = first_file(name_for(file, environment), environment)
     with file.open("x", encoding="utf-8") as written:
         written.write(f"{text}\n")
-    OUT.print(f"{file} is written: apel run {file}", highlight=False)
+    OUT.print(f"wrote {file}: apel run {file}", highlight=False)
+    arm = list(load_experiment(str(file)).arms)[-1]
+    first = f"apel run {file} --arms {arm} --runs 1"
+    OUT.print(f"to train one ensemble first: {first}", highlight=False, soft_wrap=True)
 
 
 def schema() -> None:
-    """Print the JSON schema of an experiment file, for editors: fields, and options of every learner and selector."""
+    """Print the JSON schema of an experiment file, for editors: its fields, and the options of every learner and
+    selector.
+    """
     from jobs.experiment.schema import experiment_schema
 
     # Not by way of the console, which would break lines; and in ASCII, whatever the encoding of where it goes.
@@ -96,7 +101,7 @@ def schema() -> None:
 
 
 def validate(spec: Reference, overrides: Overrides = None) -> None:
-    """Check an experiment: everything that it names is built once. Also says how it will be played."""
+    """Check an experiment by building everything it names once, and say how it will be played."""
     refuse_shadowing_beside(spec)
     find_user_modules()
     experiment = load_experiment(spec, overrides or [])

@@ -34,9 +34,9 @@ _JobId = Annotated[
 ]
 _Address = Annotated[
     str,
-    typer.Option(envvar="RAY_API_SERVER_ADDRESS", metavar="URL", help="Of the cluster's dashboard."),
+    typer.Option(envvar="RAY_API_SERVER_ADDRESS", metavar="URL", help="Address of the cluster's dashboard."),
 ]
-_Follow = Annotated[bool, typer.Option("--follow", help="Go on until the job ends.")]
+_Follow = Annotated[bool, typer.Option("--follow", help="Keep following until the job ends.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -56,11 +56,11 @@ def submit(
         typer.Option(help="Path on the cluster's nodes, or URI. Default: APEL_RESULTS there, else ~/apel-results."),
     ] = None,
     module: Annotated[
-        list[str] | None, typer.Option(help="A module of this folder to be sent too, though nothing names it.")
+        list[str] | None, typer.Option(help="Also send this module of this folder, though nothing names it.")
     ] = None,
     follow: _Follow = False,
 ) -> None:
-    """Run an experiment as a job on a cluster; the spec, and the modules of yours that it names, are sent along."""
+    """Run an experiment as a job on a cluster. The spec and those of your modules that it names are sent along."""
     from jobs.remote.job import submit as submit_job
 
     experiment = which.load(options.max_runs)
@@ -79,7 +79,7 @@ def submit(
 
 
 def jobs(address: _Address = DEFAULT_ADDRESS, as_json: AsJson = False) -> None:
-    """Show the jobs of this program on a cluster, the latest first."""
+    """List APEL's jobs on a cluster, latest first."""
     from jobs.remote.status import list_jobs
 
     found = list_jobs(address)
@@ -94,7 +94,7 @@ def status(
     address: _Address = DEFAULT_ADDRESS,
     as_json: AsJson = False,
 ) -> None:
-    """Show how far a job has come, arm by arm, as it says itself."""
+    """Show the progress of a job, arm by arm, as the job reports it."""
     from jobs.remote.job import Job
 
     found = Job(job, address).status()
@@ -112,7 +112,7 @@ def status(
 
 
 def logs(job: _JobId, address: _Address = DEFAULT_ADDRESS, follow: _Follow = False) -> None:
-    """Show what a job has printed."""
+    """Show the output of a job."""
     from jobs.remote.job import Job
 
     if follow:
@@ -122,7 +122,7 @@ def logs(job: _JobId, address: _Address = DEFAULT_ADDRESS, follow: _Follow = Fal
 
 
 def stop(job: _JobId, address: _Address = DEFAULT_ADDRESS) -> None:
-    """Let a job write checkpoints and end; `apel resume` lets it go on."""
+    """Stop a job once it has written checkpoints; `apel resume` continues it."""
     from jobs.remote.job import Job
 
     found = Job(job, address).stop()
@@ -131,7 +131,7 @@ def stop(job: _JobId, address: _Address = DEFAULT_ADDRESS) -> None:
 
 
 def resume(job: _JobId, address: _Address = DEFAULT_ADDRESS, follow: _Follow = False) -> None:
-    """Submit a job of this machine again: it goes on where it stopped, also on a cluster that has forgotten it."""
+    """Resubmit a job from this machine: it resumes where it stopped, even on a cluster that has forgotten it."""
     from jobs.remote.job import Job
 
     resumed = Job(job, address).resume()
@@ -145,7 +145,7 @@ def fetch(
     destination: Annotated[Path, typer.Argument(metavar="DEST", help="A folder on this machine.")],
     address: _Address = DEFAULT_ADDRESS,
 ) -> None:
-    """Copy a job's results, as far as they are there, into a folder on this machine."""
+    """Copy the results that a job has so far into a folder on this machine."""
     from jobs.remote.job import Job
 
     OUT.print(str(Job(job, address).fetch(destination)), highlight=False)
@@ -161,7 +161,7 @@ def pack(results: str) -> None:
 
 
 def _say_submitted(job: Job) -> None:
-    OUT.print(f"{job.id} is at work on this already" if job.was_running else job.id, highlight=False)
+    OUT.print(f"{job.id} is already running this" if job.was_running else job.id, highlight=False)
 
 
 def _follow(job: Job) -> None:

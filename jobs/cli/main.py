@@ -57,7 +57,7 @@ def _exit_codes() -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, InterruptedJobError):
-        _fail("interrupted; what is finished is stored, and the same command goes on from here", 130)
+        _fail("interrupted; finished work is stored, and the same command resumes from here", 130)
     except Exception as error:
         code = _code_of(error)
         if code is None:

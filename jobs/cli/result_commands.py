@@ -21,6 +21,7 @@ from jobs.experiment.spec_files import Group, shipped_galleries
 from jobs.experiment.yaml_source import SpecError
 from jobs.progress.observers import told_if_it_lasts
 from jobs.progress.terminal import TerminalObserver, episode_bar, summary_table
+from jobs.results.finding import results_at
 from jobs.results.places import joined
 from jobs.results.storage import Folder
 from jobs.results.store import ResultStore
@@ -44,7 +45,7 @@ def show(
     """Show the table of results, from the files alone."""
     from jobs.analysis.stored_summary import stored_summary
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     summary = stored_summary(store)
     if as_json:
         print_for_programs(summary.to_pylist())
@@ -55,7 +56,7 @@ def show(
 def compare(
     results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")],
     error: Annotated[
-        float, typer.Option(min=0.0001, max=0.5, help="Probability of calling an arm the best that is not.")
+        float, typer.Option(min=0.0001, max=0.5, help="Probability of naming a wrong arm as the best.")
     ] = DEFAULT_ERROR,
     arms: Annotated[str | None, typer.Option(help="Only these arms, separated by commas.")] = None,
     as_json: AsJson = False,
@@ -64,7 +65,7 @@ def compare(
     from jobs.analysis.answer.comparison import compare as compare_results
     from jobs.analysis.answer.words import answer_json, answer_lines
 
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     named = None if arms is None else arms.split(",")
     if named is not None:
         Plan.of(store.experiment()).only(named)  # refuses those that the experiment does not have
@@ -79,7 +80,7 @@ def compare(
 def figures(
     results: Annotated[str, typer.Argument(help="The folder of an experiment's results, or a gallery: theory, …")],
 ) -> None:
-    """Draw the figures and write the report, from the files alone; of a gallery, draw it below results/."""
+    """Draw the figures and write the report, from the files alone; or draw a gallery below results/."""
     from jobs.analysis.pages.report import write_report
     from jobs.reproduction.gallery import draw_gallery
 
@@ -91,20 +92,20 @@ def figures(
     if (meant := did_you_mean(results, galleries)) and not Path(results).exists():
         message = f"found no folder {results!r}, expected that of an experiment's results, or a gallery{meant}"
         raise SpecError(message)
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     for path in (*draw(store, store.experiment()), write_report(store)):
         OUT.print(path, highlight=False)
 
 
 def claims(
     results: Annotated[
-        list[str] | None, typer.Argument(help="Folders of results, or of an experiment's. Default: results.")
+        list[str] | None, typer.Argument(help="Folders that hold results, at any depth. Default: results.")
     ] = None,
     output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="Also those of whose experiment there are no results.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Also list claims whose experiment has no results.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Hold what the dissertation claims against the results, from the files alone."""
+    """Check the dissertation's claims against the results, from the files alone."""
     from jobs.reproduction.claims.claim_files import judged_experiments, shipped_claims
     from jobs.reproduction.claims.judging import evaluate
     from jobs.reproduction.claims.ledger import claims_table, write_ledger
@@ -122,20 +123,28 @@ def claims(
 
 
 def design(
-    adapt_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted adaptation time.")] = None,
-    rise_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Wanted rise time, to 90 %.")] = None,
-    explore: Annotated[float | None, typer.Option(metavar="P", help="Wanted share of any but the best.")] = None,
-    performance: Annotated[float | None, typer.Option(metavar="G", help="Wanted mean return; needs returns.")] = None,
+    adapt_within: Annotated[float | None, typer.Option(metavar="EPISODES", help="Adaptation time to aim for.")] = None,
+    rise_within: Annotated[
+        float | None, typer.Option(metavar="EPISODES", help="Rise time to aim for, to 90 %.")
+    ] = None,
+    explore: Annotated[
+        float | None, typer.Option(metavar="P", help="Share of episodes to spare for all but the best.")
+    ] = None,
+    performance: Annotated[
+        float | None, typer.Option(metavar="G", help="Mean return to aim for; needs the two below.")
+    ] = None,
     best_return: Annotated[float | None, typer.Option(help="Return of the best learner.")] = None,
-    other_return: Annotated[list[float] | None, typer.Option(help="Of each other one, or one for all others.")] = None,
+    other_return: Annotated[
+        list[float] | None, typer.Option(help="Return of each other learner, or one for all of them.")
+    ] = None,
     learners: Annotated[int, typer.Option(min=2, max=1000, help="Number of learners.")] = 2,
     win_probability: Annotated[
-        float, typer.Option(metavar="P", help="With which a performance of the best is above one of another learner.")
+        float, typer.Option(metavar="P", help="Probability that the best learner beats another one.")
     ] = 1.0,
-    floor: Annotated[float, typer.Option(metavar="P", help="Least share of the episodes of each learner.")] = 0.0,
+    floor: Annotated[float, typer.Option(metavar="P", help="Smallest share of the episodes for each learner.")] = 0.0,
     as_json: AsJson = False,
 ) -> None:
-    """Find APEL's decay ν for one of four criteria, and what to expect of it."""
+    """Find APEL's decay ν for one of four goals, and what to expect from it."""
     from jobs.cli.design import Request, advice
     from jobs.cli.design import design as design_decay
     from jobs.cli.design_table import design_table
@@ -161,23 +170,23 @@ def watch(
     sweep: Annotated[str | None, typer.Option(metavar="LABEL", help="Sweep point. Default: the first.")] = None,
     run: Annotated[int, typer.Option(min=0, help="Which of the arm's runs.")] = 0,
     episode: Annotated[
-        int | None, typer.Option(help="From 0; counted from the end where negative. Default: the run's last.")
+        int | None, typer.Option(help="From 0; negative numbers count from the end. Default: the last one.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="A .gif, or an .mp4. Default: ARM-runRUN-episodeEPISODE.gif, here."),
+        typer.Option("--output", "-o", help="A .gif or .mp4. Default: ARM-runRUN-episodeEPISODE.gif, here."),
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(min=1.0, max=50.0, help="Pictures per second. Default: the environment's, up to 30.")
+        float | None, typer.Option(min=1.0, max=50.0, help="Frames per second. Default: the environment's, up to 30.")
     ] = None,
-    max_frames: Annotated[int, typer.Option(min=2, help="Of a longer episode every n-th step is shown.")] = 500,
-    seed: Annotated[int, typer.Option(min=0, help="Of the episode that an agent plays.")] = 0,
-    explore: Annotated[bool, typer.Option("--explore", help="An agent acts as while it was trained.")] = False,
+    max_frames: Annotated[int, typer.Option(min=2, help="Of longer episodes only every n-th step is shown.")] = 500,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode that an agent plays.")] = 0,
+    explore: Annotated[bool, typer.Option("--explore", help="Let an agent explore as it did in training.")] = False,
     trust: Annotated[
-        bool, typer.Option("--trust", help="Run the code that the results' experiment names and that is not shipped.")
+        bool, typer.Option("--trust", help="Run code that the results or the agent name and APEL does not ship.")
     ] = False,
 ) -> None:
-    """Film one episode of a trained ensemble: out of results, or by an agent that was exported, as it plays now.
+    """Film one episode of a trained ensemble, from results, or played now by an exported agent.
 
     A run is the same whenever it is played: to show an episode it is played again, here and without Ray.
 
@@ -202,7 +211,7 @@ def watch(
         if is_given:
             message = f"{name}: found it with {results}, which are results, expected it with an agent alone"
             raise SpecError(message)
-    store = ResultStore.at(results, print_note)
+    store = results_at(results, print_note)
     if trust:
         find_user_modules()
     else:
@@ -260,6 +269,6 @@ def _tell_film(scene: Scene, film: Film) -> None:
     what = f"{scene.label} · episode {scene.episode:,}: {film.learner} played, return {film.episode_return:.6g}"
     OUT.print(f"{what}, {film.length:,} steps", highlight=False, markup=False)
     if film.every > 1:
-        OUT.print(f"every {film.every} steps are one picture; --max-frames takes more", highlight=False)
+        OUT.print(f"every {film.every} steps make one frame; raise --max-frames for more", highlight=False)
     if not film.num_checked:
-        OUT.print("no episode of this run up to here was recorded, with which to compare", highlight=False)
+        OUT.print("no episode up to here was recorded, so there is nothing to check against", highlight=False)

@@ -46,12 +46,13 @@ def run(
     which: ExperimentOptions,
     options: RunOptions,
     here: HereOptions,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no table.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print neither progress nor tables.")] = False,
     stop_in_debugger: Annotated[
-        bool, typer.Option("--debug", help="Play runs here until one fails, and open Python's debugger there.")
+        bool,
+        typer.Option("--debug", help="Play runs in this process until one fails, and open Python's debugger there."),
     ] = False,
 ) -> None:
-    """Run an experiment, or go on where it stopped."""
+    """Run an experiment, or resume it where it stopped."""
     settings = options.settings(here, current_job())
     experiment = which.load(options.max_runs)
     find_user_modules()
@@ -79,7 +80,7 @@ def reproduce(
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = "packed",
     here: HereOptions,
 ) -> None:
-    """Run all experiments of a group, or go on where that stopped; then figures, claims, and one report of it all."""
+    """Run or resume all experiments of a group, then draw the figures, check the claims, and write one report."""
     _expect("--scale", scale, get_args(Scale), "smoke, tenth or full")
     _expect("--group", group, get_args(Group), ", ".join(get_args(Group)))
     settings = RunOptions(placement=placement).settings(here, current_job())
@@ -149,7 +150,8 @@ def _finish(experiment: Experiment, outcome: Outcome, settings: Settings, *, qui
             )
         OUT.print(summary_table(outcome.summary, store.manifest()))
         if outcome.num_computed:
-            OUT.print(f"{outcome.num_computed} runs in {outcome.seconds:.1f} s, Ray's start apart", highlight=False)
+            runs = "1 run" if outcome.num_computed == 1 else f"{outcome.num_computed} runs"
+            OUT.print(f"{runs} in {outcome.seconds:.1f} s, without Ray's start", highlight=False)
         for name in ("runs.parquet", "summary.parquet", "episodes/"):
             OUT.print(store.folder.location(name), highlight=False)
         for path in pages:
@@ -165,7 +167,7 @@ def _tell_failures(outcome: Outcome) -> None:
     for line in grouped(outcome.failures):
         print_error(line)
     if any(failure.trace for failure in outcome.failures):
-        print_error(f"whole tracebacks: {outcome.store.folder.location(FAILURES)}; --debug stops at the first of them")
+        print_error(f"full tracebacks: {outcome.store.folder.location(FAILURES)}; --debug stops at the first of them")
 
 
 @contextmanager
@@ -173,7 +175,7 @@ def _graceful_stop() -> Iterator[Callable[[], bool]]:
     """The first signal lets shards write checkpoints, a second one ends everything at once."""
 
     def say() -> None:
-        ERR.print("stopping: shards under way write checkpoints; once more to end at once", highlight=False)
+        ERR.print("stopping: running shards write checkpoints; interrupt again to stop at once", highlight=False)
 
     try:
         with stop_on_signals(say) as stopping:

@@ -37,7 +37,7 @@ class ExperimentOptions:
 
     spec: Reference
     runs: Annotated[int | None, typer.Option(help="Number of runs.")] = None
-    seed: Annotated[int | None, typer.Option(help="Seed from which all runs' seeds follow.")] = None
+    seed: Annotated[int | None, typer.Option(help="Seed from which those of all runs are derived.")] = None
     overrides: Overrides = None
 
     def load(self, max_runs: int | None = None) -> Experiment:
@@ -73,7 +73,7 @@ class HereOptions:
     address: Annotated[
         str | None, typer.Option(help="A Ray cluster: auto or HOST:PORT. Default: start one here; in a job, its own.")
     ] = None
-    cpus: Annotated[int | None, typer.Option(min=1, max=10_000, help="CPUs of the Ray that is started here.")] = None
+    cpus: Annotated[int | None, typer.Option(min=1, max=10_000, help="CPUs of the Ray started here.")] = None
 
     def __post_init__(self) -> None:
         if self.address is not None:
@@ -92,28 +92,33 @@ class RunOptions:
 
     arms: Annotated[str | None, typer.Option(help="Only these arms, separated by commas.")] = None
     placement: Annotated[str, typer.Option(help="actors, packed or local.")] = Settings.placement
-    shard_size: Annotated[int | None, typer.Option(min=1, help="Runs that are played side by side.")] = None
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start over.")] = False
+    shard_size: Annotated[int | None, typer.Option(min=1, help="Number of runs that one shard plays side by side.")] = (
+        None
+    )
+    fresh: Annotated[bool, typer.Option("--fresh", help="Discard these results and start over.")] = False
     checkpoint_seconds: Annotated[
-        float, typer.Option(min=0.0, help="Time between checkpoints; they never take more than 5 % of it.")
+        float, typer.Option(min=0.0, help="Seconds between checkpoints, which take at most 5 % of the time.")
     ] = Execution.checkpoint_seconds
     checkpoint_episodes: Annotated[
-        int | None, typer.Option(min=1, help="A checkpoint also after so many episodes of a shard.")
+        int | None, typer.Option(min=1, help="Also write a checkpoint after this many episodes of a shard.")
     ] = None
     log: Annotated[
         list[str] | None,
         typer.Option(
             metavar="LOGGER",
-            help="Log returns, shares and more: tensorboard[:DIR], mlflow[:URI], wandb, or package.module:Observer of "
-            "your own. Several if repeated.",
+            help="Log returns, shares and more: tensorboard[:DIR], mlflow[:URI], wandb, or your own "
+            "package.module:Observer. May be repeated.",
         ),
     ] = None
     until: Annotated[
         str | None, typer.Option(metavar="decided", help="Add runs in rounds until the best arm is decided.")
     ] = None
-    max_runs: Annotated[int | None, typer.Option(min=1, help="With --until: at most so many. Default: --runs.")] = None
+    max_runs: Annotated[
+        int | None, typer.Option(min=1, help="With --until: at most this many runs. Default: --runs.")
+    ] = None
     error: Annotated[
-        float | None, typer.Option(help="With --until: probability of naming a wrong arm.", show_default="0.05")
+        float | None,
+        typer.Option(help="With --until: probability of naming a wrong arm as the best.", show_default="0.05"),
     ] = None
 
     def __post_init__(self) -> None:

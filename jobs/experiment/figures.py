@@ -18,16 +18,17 @@ Theory = Literal["adaptation_formula", "adaptation_model", "performance_formula"
 
 
 class _Figure(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
-    """Of its files below ``figures/``."""
+    """Name of its files below ``figures/``."""
     title: Text = ""
+    """What stands above it."""
 
 
 class _Plot(_Figure):
     arms: list[Text] = []
-    """Only these, in this order; all where empty."""
+    """Only these, in this order; by default all."""
     where: dict[Text, list[Plain]] = {}
     """Only rows with these values in these columns; rows without a value stay."""
 
@@ -36,23 +37,32 @@ class ArmPlot(_Plot):
     """One metric, arm by arm: means with intervals; histograms; the share of runs that are done by an episode."""
 
     kind: Literal["bars", "distributions", "survival"]
+    """Means with intervals, histograms, or the share of runs that are done by an episode."""
     metric: Metric = "train_time"
+    """What is measured of every run."""
 
 
 class LinePlot(_Plot):
     """One metric over an axis of the sweep, a line with its spread for each arm (and value of the other axes)."""
 
     kind: Literal["lines"]
+    """A line for each arm."""
     metric: Metric
+    """What is measured of every run."""
     x: Text
+    """The axis of the sweep that is drawn from left to right."""
     x_scale: Literal["linear", "log", "symlog"] = "linear"
+    """Scale of that axis; ``symlog`` is logarithmic, and shows 0."""
     y_scale: Literal["linear", "log"] = "linear"
+    """Scale of the metric."""
     theory: list[Theory] = []
-    """``adaptation_model`` only where the file states how long the learners' episodes are; see
+    """Predictions to draw beside it; ``adaptation_model`` only where the file states how long episodes are, see
     `jobs.analysis.adaptation_model`.
     """
     returns: tuple[float, float] | None = None
-    """Of the best learner and of the other: ``performance_formula`` is drawn of these beside the measured ones."""
+    """Returns of the best learner and of the other one, from which ``performance_formula`` is drawn, beside the
+    measured ones.
+    """
 
 
 class SwitchRoles(BaseModel):
@@ -60,10 +70,12 @@ class SwitchRoles(BaseModel):
     `jobs.analysis.switching.delay`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     early: Text
+    """The arm that plays the learner which is better early."""
     late: Text
+    """The arm that plays the learner which is better late."""
     window: Annotated[int, Field(ge=1)] = 100
     """Episodes over which returns are averaged and selections counted."""
 
@@ -74,8 +86,11 @@ class CurvePlot(_Plot):
     """
 
     kind: Literal["curves"]
+    """Curves over episodes or steps."""
     panels: Annotated[list[Literal["return", "length", "concentration", "probability"]], Field(min_length=1)]
-    """Concentration and probability have a line for each learner, return and length one for each arm."""
+    """A panel for each of these. Concentration and probability have a line for each learner, return and length one for
+    each arm.
+    """
     clock: Literal["episodes", "steps"] = "episodes"
     """What the axis counts. Over environment steps every episode must be recorded (``record: all``)."""
     learners_of: list[Text] = []
@@ -83,10 +98,11 @@ class CurvePlot(_Plot):
     switch: SwitchRoles | None = None
     """Over steps: mark where the learners alone cross and where ensembles of both switch, and tell the delay."""
     switch_episode: int | None = None
-    """Marked by a dashed line."""
+    """An episode to mark by a dashed line."""
     smooth: Annotated[int, Field(ge=1)] = 1
-    """Recorded episodes of which a moving mean is drawn."""
+    """Number of recorded episodes in the moving mean that is drawn."""
     theory: list[Theory] = []
+    """Predictions to draw beside it: ``growth_formula`` alone."""
 
 
 Plot = Annotated[ArmPlot | LinePlot | CurvePlot, Field(discriminator="kind")]

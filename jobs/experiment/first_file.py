@@ -42,14 +42,18 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Budget:
-    """What the runs of a kind of learners take: tables are cheap."""
+    """What the runs of a kind of learners take: tables are cheap, and perceptrons are compiled."""
 
     runs: int
     episodes: int
     steps: int
 
 
-_TABLES, _NETWORKS = _Budget(20, 1000, 100_000), _Budget(10, 2000, 50_000)
+_TABLES, _PERCEPTRONS, _SLOW_NETWORKS = (
+    _Budget(20, 1000, 100_000),
+    _Budget(10, 5000, 100_000),
+    _Budget(10, 2000, 50_000),
+)
 _FALLING = {"start": 1.0, "end": 0.05, "steps": 10_000}
 
 
@@ -127,7 +131,8 @@ def _is_limited(environment: Any) -> bool:
 def _suiting(config: EnvironmentConfig, world: World) -> tuple[list[_Candidate], _Budget]:
     """The candidates that can be built: tables where they can, since they are cheap, or else networks."""
     reasons: list[str] = []
-    for candidates, budget in ((_tables(), _TABLES), (_networks(world), _NETWORKS)):
+    networks = _network_budget(world)
+    for candidates, budget in ((_tables(), _TABLES), (_networks(world, networks.steps), networks)):
         found = [one for one in candidates if _fits(one, config, reasons)]
         if found and budget is _TABLES:
             return found, budget
@@ -172,8 +177,14 @@ def _binned(world: World) -> Iterator[_Candidate]:
             yield _Candidate("Q_bins", fields, f"a table over {_BINS} bins of each variable")
 
 
-def _networks(world: World) -> Iterator[_Candidate]:
-    steps, network = _NETWORKS.steps, _image_network(world)
+def _network_budget(world: World) -> _Budget:
+    """Images and continuous actions are for PyTorch, which takes many times as long as compiled perceptrons."""
+    is_slow = bool(_image_network(world)) or isinstance(world.environment.action_space, spaces.Box)
+    return _SLOW_NETWORKS if is_slow else _PERCEPTRONS
+
+
+def _networks(world: World, steps: int) -> Iterator[_Candidate]:
+    network = _image_network(world)
     body = {"network": network} if network else {}
     dqn = {"type": "dqn", "discount": 0.99, "total_steps": steps, **body}
     yield _Candidate("DQN", dqn, "double DQN with dueling heads, as OpenAI Baselines has it")
@@ -236,6 +247,7 @@ def _lines(
     yield from _criterion(config)
     yield ""
     yield "record: all  # every episode gets a row; `log` keeps thirteen a decade"
+    yield "models: final  # keeps what was trained, for `apel export`, `apel evaluate` and `apel watch`"
     yield "plots:"
     yield "  - {kind: curves, name: returns, panels: [return], smooth: 10}"
     if len(chosen) > 1:

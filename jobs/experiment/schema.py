@@ -48,7 +48,7 @@ def experiment_schema() -> Schema:
     parts = {name: found[name, "validation"] for name in kinds}
     definitions = shared.get("$defs", {})
     whole = {name: _whole(part, definitions, kinds[name]) for name, part in parts.items()}
-    learner, selector = definitions["LearnerSpec"], definitions["SelectorSpec"]
+    learner, selector = (_described(definitions[name], None) for name in ("LearnerSpec", "SelectorSpec"))
     learner["properties"]["representation"] = whole["representation"]
     learners = [_one(name, learner, _of_learner(name, whole.get(f"learner {name}"))) for name in LEARNERS]
     definitions["LearnerSpec"] = {
@@ -64,7 +64,9 @@ def experiment_schema() -> Schema:
     ids = {"anyOf": [{"enum": sorted(gymnasium.registry)}, {"type": "string"}]}
     definitions["EnvironmentSpec"]["properties"]["id"] = ids
     schema = whole["experiment"]
-    schema["properties"]["performance"] = {"anyOf": [{"enum": list(METRICS)}, _IMPORT_PATH], "default": "return"}
+    measures = {"anyOf": [{"enum": list(METRICS)}, _IMPORT_PATH], "default": "return"}
+    about = schema["properties"]["performance"]["description"]
+    schema["properties"]["performance"] = {"description": about, **measures}
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
         "title": "An experiment of APEL",
@@ -87,14 +89,16 @@ def _of_learner(name: str, options: Schema | None) -> Schema:
     if name == "acer" and options is not None:
         from apel.learners.deep.acer_options import PRESETS
 
-        return options | {"properties": {"preset": {"enum": sorted(PRESETS)}, **options["properties"]}}
+        preset = {"enum": sorted(PRESETS), "description": "Where the other options' defaults come from."}
+        return options | {"properties": {"preset": preset, **options["properties"]}}
     if options is not None:
         return options
     try:
-        known = [one for one in keywords_of(load(str(LEARNERS[name]))) if one not in _MADE_WITH]
+        made = load(str(LEARNERS[name]))
     except ValueError:
-        known = []
-    return {"properties": {option: {} for option in known}, "additionalProperties": True}
+        return {"additionalProperties": True}
+    known = [one for one in keywords_of(made) if one not in _MADE_WITH]
+    return _described({"properties": {option: {} for option in known}, "additionalProperties": True}, made)
 
 
 def _one(name: str | None, spec: Schema, options: Schema) -> Schema:

@@ -57,6 +57,12 @@ class Experiment(BaseModel):
 
     Attributes
     ----------
+    name:
+        Its name, and that of its folder of results.
+    title:
+        What tables and reports call it.
+    figures:
+        Numbers of the dissertation's figures that it reproduces.
     seed:
         From which the seeds of all runs follow (§4.1.4).
     runs:
@@ -65,19 +71,31 @@ class Experiment(BaseModel):
         Cap on the episodes of a run.
     steps:
         A run ends also with the episode in which its environment steps reach this number.
+    environment:
+        The task.
     variables:
         Values of which one is drawn uniformly per run; ``$name`` stands for it wherever an option may.
+    learners:
+        The learners by name; arms refer to them.
+    arms:
+        What is compared, by name: learners alone, and ensembles.
     sweep:
         Axes of a grid; every combination of their values is a sweep point, with the same run seeds as all others. An
         axis is a field's dotted path with its values, or a name with several paths whose values go together (and a
         ``label`` for each, where the first path's values say too little). An arm that an axis does not touch is played
         once, not once per value.
+    performance:
+        What selectors compare, of a whole episode; larger is better.
+    criterion:
+        When a run counts as trained; without one, every run plays all its episodes or steps.
     stop_when_met:
         A run ends when the criterion holds.
     steady_state_episodes:
         Over how many episodes before the cap the mean return is taken as the steady state.
     hindsight:
         Arms that are not played: of each run, the best of the arms that they list.
+    record:
+        Which episodes get a row: ``all``, ever fewer (``log``: thirteen per tenfold), every n-th, or ``none``.
     models:
         Which trained learners are kept with the results: ``none``, ``final``, or ``{every_steps: N}`` and the final
         ones; no part of the identity.

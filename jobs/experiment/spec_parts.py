@@ -28,7 +28,21 @@ class Open(BaseModel):
 
 
 class EnvironmentSpec(BaseModel):
-    """Which environment; see `apel.EnvironmentConfig`."""
+    """Which environment; see `apel.EnvironmentConfig`.
+
+    Attributes
+    ----------
+    id:
+        A Gymnasium id, or an import path ``module:Name`` of a class or a function that makes one.
+    options:
+        Keyword arguments with which it is made.
+    run_seed:
+        The option that gets the run's seed, so that each run has an environment of its own; by default none does.
+    max_episode_steps:
+        Truncates episodes after this many steps; by default the environment alone ends them.
+    observations:
+        What happens if an observation lies outside the space: ``check`` ends the run, ``warn`` says so once per run.
+    """
 
     model_config = STRICT
 
@@ -40,11 +54,22 @@ class EnvironmentSpec(BaseModel):
 
 
 class LearnerSpec(Open):
-    """A learner by registry key or import path, what it sees, its options; ``members`` are learners that it holds.
+    """A learner by registry key or import path, what it sees, and its options.
 
-    ``learns_from`` says whose episodes it learns from, see `apel.LearnerConfig`; ``start_from`` is the folder of an
-    exported agent, with whose learner it begins. ``num_gpus`` is the share of GPUs that its process gets; like all that
-    says where to run it changes no result.
+    Attributes
+    ----------
+    type:
+        A shipped learner, or the import path ``module:Class`` of another one.
+    representation:
+        What it sees of a step.
+    members:
+        Learners that it holds, such as those that vote.
+    learns_from:
+        Whose episodes it learns from: ``all``, its ``own`` alone, or all with a share of its own in every minibatch.
+    start_from:
+        The folder of an exported agent, with whose learner it begins.
+    num_gpus:
+        The share of GPUs that its process gets; like everything about where to run, it changes no result.
     """
 
     type: Text
@@ -56,16 +81,31 @@ class LearnerSpec(Open):
 
 
 class SelectorSpec(Open):
-    """A selector by registry key or import path, its options, and how much each learner plays whatever it says."""
+    """A selector by registry key or import path, and its options.
+
+    Attributes
+    ----------
+    type:
+        A shipped selector, or the import path ``module:Class`` of another one.
+    acting_floor:
+        How much each learner plays at least, whatever the selector says.
+    """
 
     type: Text
     acting_floor: ActingFloor | None = None
 
 
 class ArmSpec(BaseModel):
-    """One line in a figure: some learners (a list of names, or how many of each), and the selector of several.
+    """What is compared, and one line in a figure: one learner, or several with a selector.
 
-    ``start_from`` is the folder of an exported agent: each learner begins with the one of its name there.
+    Attributes
+    ----------
+    learners:
+        Their names as a list, or how many there are of each.
+    selector:
+        Who picks among several.
+    start_from:
+        The folder of an exported agent: each learner begins with the one of its name there.
     """
 
     model_config = STRICT

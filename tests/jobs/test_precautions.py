@@ -38,7 +38,7 @@ def test_names_that_collide(
     path.write_text("def kmeans(points, k):\n    return points[:k]\n")
     code, error = call(capsys, command, str(small))
     assert code == 2
-    assert f"error: {path}: found a module of yours called like a package" in error
+    assert f"error: {path}: found a module of yours with the name of a package" in error
     assert len(error.splitlines()) == 1
 
 
@@ -51,6 +51,15 @@ def test_names_that_do_not_collide(tmp_path: Path) -> None:
     refuse_shadowing([tmp_path, Path(precautions.__file__).parent.parent])
     shutil.copy(tmp_path / "clusters.py", tmp_path / "cluster.py")
     with pytest.raises(SpecError, match=r"cluster\.py: found"):
+        refuse_shadowing([tmp_path])
+
+
+def test_clone_beside_a_copy(tmp_path: Path) -> None:
+    """Who has installed a copy, and runs commands in the clone that it came from, is told of the remedy."""
+    for name in ("apel", "cluster", "jobs"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    with pytest.raises(SpecError, match=rf"found a clone of this program.*: pip install -e {tmp_path}, or run"):
         refuse_shadowing([tmp_path])
 
 

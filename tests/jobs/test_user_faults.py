@@ -213,7 +213,7 @@ def test_tracebacks_of_users_code(folder: Path, capsys: pytest.CaptureFixture[st
     place = f'{folder}/broken.py:21, in _helper: return target["missing_key"]'
     assert f"in the learner: {place}" in error
     assert "2 run(s) failed: KeyError: 'missing_key' at seed" in error
-    assert "whole tracebacks: " in error
+    assert "full tracebacks: " in error
     runs, texts = story(folder, "broken")
     assert len(runs) == 2
     assert texts.count("Traceback (most recent call last)") == 1  # of the first one of this kind

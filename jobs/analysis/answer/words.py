@@ -23,8 +23,8 @@ _MOST_RUNS = 10_000
 _POWER = 0.8
 _HEADS: dict[Kind, str] = {"return": "return", "area": "area", "episodes": "episodes", "steps": "steps"}
 _SELECTED = (
-    "Late return: of the last tenth, in the episodes that a learner played. Who plays is selected, so that one that "
-    "seldom did was seen where it stood well."
+    "Late return: mean over the last tenth, in the episodes that a learner played. The selector picks who plays, so a "
+    "learner that rarely played was seen only when it looked good."
 )
 _OF: dict[Kind, str] = {
     "return": "It returns {value} in the last tenth of a run{interval}",
@@ -88,16 +88,17 @@ def _advice(answer: Answer) -> Iterator[str]:
     place = next(one for one in ranking.places if one.name == chosen)
     value, interval = _number(place.estimate.value), _interval(place.estimate, place.num_runs)
     is_alone = len(ranking.places) == 1
-    yield f"{'There is only' if is_alone else 'Use' if verdict.best else 'If you have to choose now, use'} {chosen}."
+    advice = "Use" if verdict.best else "If you have to choose now, use"
+    yield f"Only {chosen} has results." if is_alone else f"{advice} {chosen}."
     yield f"{_OF[ranking.kind].format(value=value, interval=interval)}."
     if place.num_at_cap:
-        yield f"{place.num_at_cap} of {place.num_runs} runs did not get there, and count with what they played."
+        yield f"{place.num_at_cap} of {place.num_runs} runs did not get there, and count as if they did at their end."
     if not is_alone:
         yield from _decided(verdict) if verdict.best else _undecided(verdict, ranking)
     elif answer.inside:
         first = answer.inside[0].learners[0].place
-        share = _share(first.probability_best)
-        yield f"Of its learners {first.name} returned most at the end ({share} of resamples agree)."
+        share = f"{_share(first.probability_best)} of resamples agree" if first.num_runs > 1 else "in a single run"
+        yield f"Of its learners {first.name} returned most at the end ({share})."
 
 
 def _decided(verdict: Verdict) -> Iterator[str]:
@@ -170,7 +171,9 @@ def _inside_table(inside: Inside, num_rows: int) -> list[str]:
 
 
 def _cells(place: Placed) -> list[str]:
-    shares = _share(place.probability_best), _share(place.probability_near)
+    # Resamples of a single run all agree, which says nothing.
+    likely = (place.probability_best, place.probability_near)
+    shares = [_share(one) if place.num_runs > 1 else "-" for one in likely]
     return [_cut(place.name), _number(place.estimate.value), _range(place), *shares]
 
 
@@ -181,7 +184,7 @@ def _cost_sentences(costs: Sequence[Cost]) -> Iterator[str]:
     for cost in [cost for cost in costs if cost.alone is not None][:_MOST_ENSEMBLES]:
         assert cost.alone is not None  # noqa: S101 - chosen so
         ratio = cost.alone / cost.steps if cost.steps else math.nan
-        how = "took" if cost.is_measured else "would take, at that pace,"
+        how = "took" if cost.is_measured else "would at that pace take"
         each = f"its {cost.num_learners} learners, each alone, {how} {_steps(cost.alone)}"
         yield f"{cost.name} took {_steps(cost.steps)}; {each} ({ratio:.2g} times as many)."
 
@@ -207,7 +210,9 @@ def _columns(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    whole = text.replace(" %", "\u00a0%")  # a number and its unit stay on one line
+    lines = textwrap.wrap(whole, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\u00a0", " ") for line in lines]
 
 
 def _number(value: float) -> str:

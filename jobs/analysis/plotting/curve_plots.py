@@ -59,14 +59,14 @@ def _finish(figure: Any, all_axes: Any, curves: dict[Any, Curves], plot: CurvePl
     num_runs = max(each.num_runs for each in curves.values())
     smooth = f", moving mean of {plot.smooth} recorded episodes" if plot.smooth > 1 else ""
     over = "" if not any(each.has_ended_runs for each in curves.values()) else ", of those that are not over"
-    how = f"mean of {num_runs} runs{over} (line) ± SD within their range (shaded){smooth}"
+    mean = f"mean of {num_runs} runs{over} (line) ± SD within their range (shaded)" if num_runs > 1 else "a single run"
     if {"return", "length"} & set(plot.panels) and len(plot.panels) > 1:
         for axes in all_axes:
             if axes.get_legend_handles_labels()[0]:
                 axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     else:
         style.legend(figure, all_axes)
-    style.title(figure, plot.title or experiment.title or experiment.name, how)
+    style.title(figure, plot.title or experiment.title or experiment.name, f"{mean}{smooth}")
 
 
 def _arms(axes: Any, curves: dict[Any, Curves], quantity: str, plot: CurvePlot, experiment: Experiment) -> None:

@@ -56,8 +56,8 @@ def draw(
         figure.legend(*marks.legend(unit, name), loc="outside lower center", ncols=1)
     smooth = f", trailing means of {plot.smooth} episodes" if plot.smooth > 1 else ""
     num_runs = max(each.num_runs for each in curves.values())
-    how = f"mean of {num_runs} runs, 95 % interval (shaded){smooth}"
-    style.title(figure, plot.title or experiment.title or experiment.name, how)
+    mean = f"mean of {num_runs} runs, 95 % interval (shaded)" if num_runs > 1 else "a single run"
+    style.title(figure, plot.title or experiment.title or experiment.name, f"{mean}{smooth}")
     return figure
 
 

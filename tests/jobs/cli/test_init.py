@@ -30,7 +30,9 @@ class Switches(gymnasium.Env[int, object]):
 
 def test_tables(capsys: pytest.CaptureFixture[str]) -> None:
     """A finite environment gets tables, the threshold that Gymnasium knows, and a comment for every learner."""
-    assert "lake.yaml is written" in printed(capsys, "init", "lake.yaml", "--env", "FrozenLake-v1")
+    told = printed(capsys, "init", "lake.yaml", "--env", "FrozenLake-v1")
+    assert "wrote lake.yaml" in told
+    assert "apel run lake.yaml --arms ensemble --runs 1" in told
     experiment = load_experiment("lake.yaml")
     assert experiment.name == "lake"
     assert {one.type for one in experiment.learners.values()} == {"q_learning", "dyna_q"}
@@ -50,7 +52,11 @@ def test_tables(capsys: pytest.CaptureFixture[str]) -> None:
 def test_networks(capsys: pytest.CaptureFixture[str]) -> None:
     """Vectors get networks."""
     printed(capsys, "init", "cart.yaml", "--env", "CartPole-v1")
-    types = [one.type for one in load_experiment("cart.yaml").learners.values()]
+    experiment = load_experiment("cart.yaml")
+    assert experiment.models == "final"  # so that `apel export` need not play a run again
+    assert experiment.steps == 100_000
+    assert experiment.learners["DQN"].options["total_steps"] == experiment.steps
+    types = [one.type for one in experiment.learners.values()]
     assert len(types) >= 5
     assert set(types) == {"dqn", "acer", "sac"}
 

@@ -98,6 +98,18 @@ def test_one_s_own_parts_pass(schema: dict[str, Any]) -> None:
     Draft202012Validator(schema).validate(source.content)
 
 
+def test_every_field_is_explained(schema: dict[str, Any]) -> None:
+    """Editors and the reference say what each field means, or the sentence about its part names it."""
+    parts = [schema, *(kind for part in schema["$defs"].values() for kind in part.get("oneOf", [part]))]
+    unexplained = {
+        f"{part.get('title')}.{field}"
+        for part in parts
+        for field, about in part.get("properties", {}).items()
+        if field != "type" and not about.get("description") and field not in part.get("description", "")
+    }
+    assert not unexplained
+
+
 def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It prints JSON; without PyTorch, too, where deep learners then take any option."""
 

@@ -227,7 +227,7 @@ def test_submitted_twice(head: Head, slow_while: Path, tmp_path: Path) -> None:
     said = both_at_once(command, head, tmp_path)
     jobs = {out.split()[0] for out in said}
     assert len(jobs) == 1
-    assert sum("is at work on this already" in out for out in said) == 1
+    assert sum("is already running this" in out for out in said) == 1
     (job,) = jobs
     other = head.apel(*command[1:], "--shard-size", "2", cwd=tmp_path, check=False)
     assert other.returncode == 2

@@ -212,8 +212,15 @@ def test_decided_words(play: Play) -> None:
     assert found.verdict is not None
     assert found.verdict.gap["bad"].low > 0
     alone = answer_lines([answer(play(*AT_LENGTH, "arms={APEL: {learners: [Q_full, Q_red], selector: {type: apel}}}"))])
-    assert " ".join(alone).startswith("There is only APEL. It returns")
+    assert " ".join(alone).startswith("Only APEL has results. It returns")
     assert re.search(r"Of its learners Q_\w+ returned most", " ".join(alone))
+
+
+def test_single_run(play: Play) -> None:
+    """That all resamples of one run agree is no certainty, and is not told as one."""
+    said = " ".join(answer_lines(compare(play(*AT_LENGTH, "seed=5", "runs=1"), 0.05, ["APEL"])))
+    assert "returned most at the end (in a single run)." in said
+    assert "100 %" not in said
 
 
 def test_command(play: Play, capsys: pytest.CaptureFixture[str]) -> None:

@@ -144,6 +144,17 @@ def test_curves_are_drawn_of_recorded_episodes(small: Path, tmp_path: Path) -> N
     assert draw_figures(store, experiment) == []
 
 
+def test_a_single_run_is_no_mean(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its curve is called what it is, without a spread that it does not have."""
+    told: list[str] = []
+    monkeypatch.setattr(style, "title", lambda _figure, _title, how: told.append(how))
+    plots = "plots=[{kind: curves, name: returns, panels: [return], smooth: 5}]"
+    experiment = load_experiment(str(small), [plots, "record=all", "runs=1"])
+    store = run_experiment(experiment, Settings(results=str(tmp_path), placement="local")).store
+    draw_figures(store, experiment)
+    assert told == ["a single run, moving mean of 5 recorded episodes"]
+
+
 def test_train_times_are_drawn_where_nothing_is_named(tmp_path: Path) -> None:
     """Bars and distributions; nothing where an experiment has no criterion either."""
     store, experiment = synthetic(tmp_path, " []")
