@@ -40,7 +40,7 @@ def draw(
     read = {point: read_curves(folder, *point, columns=[*plot.panels, "length"]) for point in points}
     curves = {point: found for point, found in read.items() if found}
     panels = panels_of(plot, curves)
-    if not panels:
+    if not curves or not panels:
         return None
     size = 7.4, 1.9 + 1.9 * len(panels)
     figure, all_axes = plt.subplots(len(panels), 1, figsize=size, sharex=True, squeeze=False)
