@@ -156,6 +156,15 @@ def test_figure_without_a_switch(results: tuple[ResultStore, Experiment], tmp_pa
     assert names == ["overtaking.png", "overtaking.svg"]
 
 
+def test_figure_of_arms_that_are_not_there_yet(results: tuple[ResultStore, Experiment], tmp_path: Path) -> None:
+    """Of a job that was interrupted before any of them ended: there is none."""
+    store, _ = results
+    spec = tmp_path / "plots.yaml"
+    late = SPEC.replace("arms:\n", "arms:\n  late: {learners: [Q]}\n")
+    spec.write_text(late + "\n  - {kind: curves, name: overtaking, clock: steps, panels: [return], arms: [late]}")
+    assert draw_figures(store, load_experiment(str(spec))) == []
+
+
 def test_figure_of_what_was_played(small: Path, tmp_path: Path) -> None:
     """Rows as the program writes them, where selectors know no probability (null), and runs end after other steps."""
     text = small.read_text().replace("  APEL: {", "  Q_red: {learners: [Q_red]}\n  APEL: {", 1)
