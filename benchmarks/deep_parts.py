@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from apel.learners.banks.batched_learner import Transitions
 from apel.learners.deep import dqn
-from apel.learners.deep.perceptron import call_adam, call_backward, call_clip, call_forward
+from apel.learners.deep.passes import call_adam, call_backward, call_clip, call_forward
 from apel.learners.deep.products import aligned, multiply
 from apel.numerics.compiled import njit
 
@@ -22,14 +22,15 @@ ONE = np.zeros(1, dtype=np.int64)
 @njit
 def _forward(times: int, a: Any, x: Any, out: Any) -> None:
     for _ in range(times):
-        call_forward(a.kernels.forward, (a.layers, a.dueling, a.online[0], x, a.activations, out))
+        rooms = a.activations, a.patches, a.normalised
+        call_forward(a.kernels.forward, (a.layers, a.maps, a.dueling, a.online[0], x, *rooms, out))
 
 
 @njit
 def _backward(times: int, a: Any, x: Any, slope: Any) -> None:
     for _ in range(times):
-        rooms = a.deltas, a.transposed, a.gradient
-        call_backward(a.kernels.backward, (a.layers, a.dueling, a.online[0], x, a.activations, slope, *rooms))
+        rooms, found = (a.activations, a.patches, a.normalised), (a.deltas, a.transposed, a.gradient)
+        call_backward(a.kernels.backward, (a.layers, a.maps, a.dueling, a.online[0], x, *rooms, slope, *found))
 
 
 @njit

@@ -1,7 +1,8 @@
 """Intervals by rliable, for benchmarks/statistics.py: run by an interpreter that has rliable.
 
 Reads ``curves.npy``, ``float64[arms, runs, points]``, and ``scores.npy``, ``float64[arms, runs]``, from the folder
-named first; writes ``theirs.npz`` and ``theirs.json`` there. The other arguments are numbers of resamples.
+named first; writes ``theirs.npz`` and ``theirs.json`` there. The second argument is the confidence of percentile
+intervals, the others are numbers of resamples.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ def improvement(first: Any, second: Any) -> Any:
     return np.array([metrics.probability_of_improvement(first, second)])
 
 
-def timed(scores: dict[str, Any], function: Callable[..., Any], reps: int) -> tuple[float, Any]:
+def timed(scores: dict[str, Any], function: Callable[..., Any], reps: int, size: float) -> tuple[float, Any]:
     """Processor seconds, and ``float64[3, …, columns]``: value, low, high of each entry."""
     began = time.process_time()
-    points, intervals = library.get_interval_estimates(scores, function, reps=reps)
+    points, intervals = library.get_interval_estimates(scores, function, reps=reps, confidence_interval_size=size)
     seconds = time.process_time() - began
     return seconds, np.stack([np.stack([points[key], *intervals[key]]) for key in scores], axis=1)
 
 
 def main() -> None:
     """Time rliable on the curves and scores of a folder, and write what it found beside them."""
-    folder, counts = Path(sys.argv[1]), [int(argument) for argument in sys.argv[2:]]
+    folder, size, counts = Path(sys.argv[1]), float(sys.argv[2]), [int(argument) for argument in sys.argv[3:]]
     curves, scores = np.load(folder / "curves.npy"), np.load(folder / "scores.npy")
     np.random.seed(0)  # noqa: NPY002 - rliable draws from the global generator
     by_arm = {str(arm): curve[:, None, :] for arm, curve in enumerate(curves)}
@@ -58,7 +59,7 @@ def main() -> None:
             (f"probability_{count}", pairs, improvement, count),
         ]
     for name, given, function, count in tasks:
-        seconds[name], found[name] = timed(given, function, count)
+        seconds[name], found[name] = timed(given, function, count, size)
     np.savez(folder / "theirs.npz", **found)
     versions = {name: version(name) for name in ("rliable", "arch", "numpy", "pandas", "scipy")}
     (folder / "theirs.json").write_text(json.dumps({"versions": versions, "processor_seconds": seconds}))

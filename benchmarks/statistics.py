@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from apel.numerics.intervals import expanded_levels
 from jobs.analysis.statistics.bootstrap import Location, bootstrap_curve
 from jobs.analysis.statistics.comparison import probability_of_improvement
 from jobs.results.manifest import versions
@@ -31,8 +32,10 @@ from jobs.results.manifest import versions
 ARMS, RUNS, POINTS = 4, 100, 100
 COUNTS = (2_000, 10_000)
 LOCATIONS: tuple[Location, ...] = ("mean", "interquartile_mean")
-# Of a percentile's end: √(p (1 − p)) / φ(1.96) of the resampled statistic's deviation, for each of √resamples.
-END_ERROR = float(np.sqrt(0.025 * 0.975) / stats.norm.pdf(stats.norm.ppf(0.975)))
+LOW, HIGH = expanded_levels(RUNS)
+"""The percentiles of both sides: rliable has no expanded intervals, but it has confidences other than 95 %."""
+# Of a percentile's end: √(p (1 − p)) / φ(1.99) of the resampled statistic's deviation, for each of √resamples.
+END_ERROR = float(np.sqrt(LOW * HIGH) / stats.norm.pdf(stats.norm.ppf(HIGH)))
 
 
 def synthetic_curves() -> NDArray[np.float64]:
@@ -65,6 +68,7 @@ def plain_scipy(data: dict[str, NDArray[np.float64]], count: int) -> None:
             lambda values, axis: stats.trim_mean(values, 0.25, axis=axis),
             n_resamples=count,
             batch=100,
+            confidence_level=HIGH - LOW,
             method="percentile",
             rng=np.random.default_rng(0),
         )
@@ -83,7 +87,7 @@ def seconds_of(function: Callable[[], object], repeats: int) -> float:
 def distance(one: NDArray[np.float64], other: NDArray[np.float64], count: int) -> dict[str, float]:
     """Largest difference of values, and of interval ends in three units."""
     difference, width = np.abs(one[1:] - other[1:]), other[2] - other[1]
-    error = np.sqrt(2 / count) * END_ERROR * width / (2 * stats.norm.ppf(0.975))
+    error = np.sqrt(2 / count) * END_ERROR * width / (2 * stats.norm.ppf(HIGH))
     return {
         "largest_difference_of_values": float(np.max(np.abs(one[0] - other[0]))),
         "largest_difference_of_ends": float(np.max(difference)),
@@ -99,7 +103,7 @@ def run_theirs(python: str, data: dict[str, NDArray[np.float64]]) -> tuple[dict[
         for name, values in data.items():
             np.save(Path(folder, f"{name}.npy"), values)
         # Isolated, so that this file does not stand in for the standard library's module of its name.
-        subprocess.run([python, "-I", str(script), folder, *map(str, COUNTS)], check=True)
+        subprocess.run([python, "-I", str(script), folder, str(HIGH - LOW), *map(str, COUNTS)], check=True)
         with np.load(Path(folder, "theirs.npz")) as found:
             return json.loads(Path(folder, "theirs.json").read_text()), dict(found)
 

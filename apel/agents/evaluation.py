@@ -19,13 +19,14 @@ from apel.learners import LearnerList
 from apel.learners.banks.greedy_evaluation import Choose, exploring_choice, greedy_choice, play_unlearned
 from apel.learners.base import HasActionValues, HasGreedyAction
 from apel.numerics.episode_seeds import EpisodeSeeds
+from apel.numerics.intervals import expanded_levels
 from apel.numerics.seeding import Role, make_key
 
 Mode = Literal["greedy", "as trained"]
 MODES: tuple[Mode, ...] = ("greedy", "as trained")
 ENSEMBLE = "(ensemble)"
 """Under which name the episodes of the learners that the selector picks stand."""
-_RESAMPLES, _CONFIDENCE = 10_000, 0.95
+_RESAMPLES = 10_000
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,12 @@ class Played:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the mean: the 95 % percentile bootstrap over episodes, with the same resamples every time."""
+        """Of the mean: the 95 % expanded percentile bootstrap over episodes, with the same resamples every time."""
         count = len(self.episode_return)
+        if count < 2:
+            return self.mean, self.mean
         chosen = np.random.default_rng(0).integers(count, size=(_RESAMPLES, count))
-        tail = 50 * (1 - _CONFIDENCE)
-        low, high = np.percentile(self.episode_return[chosen].mean(axis=1), [tail, 100 - tail])
+        low, high = np.quantile(self.episode_return[chosen].mean(axis=1), expanded_levels(count))
         return float(low), float(high)
 
 

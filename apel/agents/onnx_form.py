@@ -13,6 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from apel.learners.deep.encoding import Encoder
 from apel.learners.deep.graph import GraphLayer, NetworkGraph, graph_of
+from apel.learners.deep.normalising import EPSILON
 
 _OPSET = 17
 _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -129,6 +130,9 @@ class _Model:
             x = x if is_flat else self._node("Flatten", x, axis=1)
             is_flat = True
             x = self._node("Gemm", x, self._constant(layer.weight), self._constant(layer.bias))
+            if layer.normalised:
+                gain = self._constant(np.ones(layer.bias.shape, dtype=np.float32))
+                x = self._node("LayerNormalization", x, gain, axis=-1, epsilon=EPSILON)
         return self._activated(layer, x), is_flat
 
     def _chain(self, layers: tuple[GraphLayer, ...], x: str) -> str:

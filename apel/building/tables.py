@@ -21,6 +21,7 @@ from apel.learners import (
     Voting,
     VotingOptions,
 )
+from apel.learners.tabular.voting import LINEAR
 from apel.numerics.seeding import Role, make_key
 
 _TABLE_OPTIONS: Mapping[Any, type[QLearningOptions]] = {QLearning: QLearningOptions, DynaQ: DynaQOptions}
@@ -33,9 +34,10 @@ def is_tabular(configs: Sequence[LearnerConfig], worlds: Sequence[World]) -> boo
 
 
 def _has_tables(config: LearnerConfig) -> bool:
-    if _shipped(config) is Voting:
-        return all(_shipped(member) in _TABLE_OPTIONS and not member.members for member in config.members)
-    return _shipped(config) in _TABLE_OPTIONS and not config.members
+    if _shipped(config) is not Voting:
+        return _shipped(config) in _TABLE_OPTIONS and not config.members
+    are_tabular = all(_shipped(member) in _TABLE_OPTIONS and not member.members for member in config.members)
+    return are_tabular and config.options.get("method") != LINEAR
 
 
 def _shipped(config: LearnerConfig) -> type | None:

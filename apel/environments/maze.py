@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -37,8 +38,8 @@ class Maze(FiniteEnvironment):
 
     Observation: ``int64[2 + len(distractors)]``, the column x, the row y (0 is the top row), then the distractors,
     each drawn anew at every step. Actions: 0 up, 1 right, 2 down, 3 left; a move into a wall stays. Reward: −0.1 per
-    step, and +1 instead on the step that reaches the goal, which ends the episode. Truncated after ``max_steps``
-    steps.
+    step, and +1 instead on the step that reaches the goal, which ends the episode; times ``reward_scale``. Truncated
+    after ``max_steps`` steps.
 
     Parameters
     ----------
@@ -56,6 +57,8 @@ class Maze(FiniteEnvironment):
         How many mazes are drawn at most to meet ``optimal_length``; fewer where they are very large.
     render_mode:
         See Gymnasium; ``"rgb_array"`` is the only one.
+    reward_scale:
+        What all rewards are multiplied by, above 0.
 
     Raises
     ------
@@ -74,8 +77,12 @@ class Maze(FiniteEnvironment):
         max_steps: int = 1000,
         max_draws: int = 10_000,
         render_mode: str | None = None,
+        reward_scale: float = 1.0,
     ) -> None:
         _check(maze_seed, size, distractors, max_steps, max_draws)
+        if not 0 < reward_scale < math.inf:
+            message = f"reward_scale: found {reward_scale!r}, expected a number above 0"
+            raise ValueError(message)
         max_draws = min(max_draws, max(_MAX_CELLS_DRAWN // size**2, 1))
         shortest, longest = _length_range(optimal_length, size)
         stream = stream_of_seed(maze_seed)
@@ -95,9 +102,8 @@ class Maze(FiniteEnvironment):
         self.size = size
         self.render_mode = render_mode
         self._visits = np.zeros(size * size, dtype=np.int64)
-        super().__init__(
-            _model(passages, size, self.start_cell, self.goal_cell, int(length), tuple(distractors), max_steps)
-        )
+        model = _model(passages, size, self.start_cell, self.goal_cell, int(length), tuple(distractors), max_steps)
+        super().__init__(replace(model, reward=model.reward * reward_scale))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""

@@ -115,6 +115,19 @@ def categorical(stream: Stream, probability: NDArray[np.float64]) -> int:
 
 
 @njit
+def poisson(stream: Stream, mean: float) -> int:
+    """One draw from the Poisson distribution with a mean of at most some hundreds, by its cumulative sum."""
+    u = uniform(stream)
+    share = cumulative = math.exp(-mean)
+    count = 0
+    while u >= cumulative and share > 0.0:
+        count += 1
+        share *= mean / count
+        cumulative += share
+    return count
+
+
+@njit
 def start_stream(seed: int, stream: Stream) -> None:
     """Set ``stream`` in place to the stream of a 64-bit ``seed``."""
     word = np.uint64(seed)

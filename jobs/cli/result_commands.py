@@ -246,7 +246,13 @@ def write_and_show_reproduction(results: str, stores: list[ResultStore], group: 
 
 
 def _show_verdicts(verdicts: Sequence[Verdict], *, every: bool = True) -> None:
-    from jobs.reproduction.claims.ledger import count_line, source_lines, verdict_table
+    from jobs.reproduction.claims.ledger import (
+        DOUBTFUL,
+        corrected_count_line,
+        count_line,
+        source_lines,
+        verdict_table,
+    )
 
     shown = [one for one in verdicts if every or one.ruling != "missing"]
     OUT.print(verdict_table(shown))
@@ -255,6 +261,7 @@ def _show_verdicts(verdicts: Sequence[Verdict], *, every: bool = True) -> None:
     for line in source_lines(verdicts):
         OUT.print(line, highlight=False, markup=False)
     OUT.print(count_line(verdicts), highlight=False)
+    OUT.print(f"{DOUBTFUL} {corrected_count_line(verdicts)}", highlight=False, markup=False)
 
 
 def _tell_film(scene: Scene, film: Film) -> None:

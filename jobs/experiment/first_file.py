@@ -178,7 +178,7 @@ def _binned(world: World) -> Iterator[_Candidate]:
 
 
 def _network_budget(world: World) -> _Budget:
-    """Images and continuous actions are for PyTorch, which takes many times as long as compiled perceptrons."""
+    """Images and continuous actions take many times as long as perceptrons and discrete ones."""
     is_slow = bool(_image_network(world)) or isinstance(world.environment.action_space, spaces.Box)
     return _SLOW_NETWORKS if is_slow else _PERCEPTRONS
 

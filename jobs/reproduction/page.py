@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from jobs.analysis.pages import parts as page
 from jobs.experiment.spec import Gallery
 from jobs.reproduction.claims.judging import Verdict
-from jobs.reproduction.claims.ledger import cells, count_line
+from jobs.reproduction.claims.ledger import cells, corrected_count_line, count_line
 from jobs.results.storage import Folder
 from jobs.results.store import ResultStore
 
-_HEADS = ("figure", "verdict", "what is claimed", "value", "95 % interval", "claimed", "expected")
+_HEADS = ("figure", "verdict", "after Holm", "what is claimed", "value", "95 % interval", "claimed", "expected")
 
 
 def reproduction_page(
@@ -23,7 +23,7 @@ def reproduction_page(
     seconds = sum(session["seconds"] for store in stores for session in store.manifest().get("sessions", []))
     played = f"{len(stores)} experiments, {runs:,} runs, {seconds / 60:,.1f} minutes of playing"
     body = [
-        f"<p>{played}. {count_line(verdicts)}.</p>",
+        f"<p>{played}. {count_line(verdicts)}. {corrected_count_line(verdicts)}.</p>",
         "<h2>Ledger of claims</h2>",
         f"<details><summary>all {len(verdicts)} claims</summary>{_ledger(verdicts)}</details>",
     ]
@@ -48,8 +48,11 @@ def _ledger(verdicts: Sequence[Verdict]) -> str:
     head = "".join(f"<th class='name'>{heading}</th>" for heading in _HEADS)
     rows = []
     for verdict in verdicts:
-        _, source, text, _, value, interval, claimed, ruling, expected, *_, note, _ = map(html.escape, cells(verdict))
+        _, source, text, _, value, interval, claimed, ruling, _, corrected, expected, *_, note, _ = map(
+            html.escape, cells(verdict)
+        )
         words = f"<td class='text'>{text}{f' ({note})' if note else ''}</td>"
         numbers = "".join(f"<td>{cell}</td>" for cell in (value, interval, claimed, expected))
-        rows.append(f"<tr><td class='source'>{source}</td><td class='{ruling}'>{ruling}</td>{words}{numbers}</tr>")
+        rulings = "".join(f"<td class='{one}'>{one}</td>" for one in (ruling, corrected))
+        rows.append(f"<tr><td class='source'>{source}</td>{rulings}{words}{numbers}</tr>")
     return f"<div class='wide'><table><tr>{head}</tr>{''.join(rows)}</table></div>"

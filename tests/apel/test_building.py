@@ -141,6 +141,8 @@ def test_bank_is_compiled_where_possible(maze: World, cart_pole: World) -> None:
         (LearnerConfig("apel.learners.tabular.q_learning:QLearning"), maze, False),
         (LearnerConfig(f"{HERE}:AverageReward"), maze, False),
         (LearnerConfig("q_learning", {}, bins), cart_pole, False),
+        (LearnerConfig("voting", {"method": "rank"}, members=(LearnerConfig("q_learning"),)), maze, True),
+        (LearnerConfig("voting", {"method": "linear"}, members=(LearnerConfig("q_learning"),)), maze, False),
     ]
     for config, world, compiled in cases:
         assert is_tabular([config] * 2, [world] * 2) == compiled

@@ -124,3 +124,23 @@ def test_version_has_one_source() -> None:
     assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()
     assert f"\n## {version} (" in (root / "CHANGELOG.md").read_text()
     assert f"image: apel:{version} " in (root / "docker-compose.yml").read_text()
+
+
+def test_convolutions_need_no_pytorch() -> None:
+    """On the processor a learner over images acts and learns without it."""
+    code = """
+import numpy as np
+from gymnasium import spaces
+import apel
+network = {"convolutions": [[2, 3, 1]], "hidden": []}
+space = spaces.Box(0, 255, (1, 4, 4), np.uint8)
+learner = apel.Dqn(space, spaces.Discrete(2), 1, network=network, learning_starts=1, batch_size=2)
+for _ in range(4):
+    image = space.sample()
+    learner.learn(apel.Transition(image, learner.act(image)[0], 1.0, space.sample(), False, False, None))
+print("learnt")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", BLOCKED.format(blocked=["torch"]) + code], capture_output=True, text=True, check=False
+    )
+    assert (done.stdout.strip(), done.stderr) == ("learnt", "")

@@ -1,4 +1,4 @@
-"""Breakout of MinAtar: the game on 10 × 10 cells, a hundred times as fast as Atari's.
+"""Games of MinAtar, on 10 × 10 cells: Breakout, a hundred times as fast as Atari's.
 
 Source: Young & Tian 2019, *MinAtar: An Atari-Inspired Testbed for Thorough and Reproducible Reinforcement Learning
 Experiments*; the package ``minatar`` (GPL-3), which is an extra of this project: ``pip install 'apel[minatar]'``.
@@ -21,27 +21,24 @@ from apel.environments.breakout.handcrafted import handcrafted_space, minatar_pa
 from apel.environments.misuse import NO_EPISODE, check_step
 
 _EXTRA = _PACKAGE = "minatar"
-_GAME = "minatar.environments.breakout"
 _NOT_INSTALLED = "there is none"
 _PIXELS_PER_CELL = 16
 _BACKGROUND = (30, 30, 30)
-# Later ones cover earlier ones: the paddle lies over the trail of a ball that it missed.
-_COLOURS = {"brick": (213, 94, 0), "trail": (90, 90, 90), "ball": (255, 255, 255), "paddle": (0, 114, 178)}
+Colours = dict[str, tuple[int, int, int]]
 
 
-class MinAtarBreakout(gymnasium.Env[Any, Any]):
-    """The game, one life per episode, with two views of it.
-
-    Channels: ``symbols`` ``uint8[4, 10, 10]``, where paddle, ball, trail (the ball one step ago) and bricks are;
-    ``handcrafted`` ``int64[3]`` (see `apel.environments.breakout.handcrafted`). Actions: 0 nothing, 1 left, 2 right.
-    Reward: +1 per brick. Terminated where the paddle misses the ball. Signals: ``paddle_hit`` and ``life_lost``, 1.0
-    for yes.
+class MinAtarGame(gymnasium.Env[Any, Any]):
+    """A game of MinAtar, one life per episode, with two views of it: what it shows, and a few numbers made of that.
 
     An episode follows from the seed of its reset and its actions. MinAtar's own class would also carry the last action
     over from the episode before, to which sticky actions may return, and starts unseeded.
 
     Parameters
     ----------
+    game:
+        The name of its module in ``minatar.environments``.
+    handcrafted:
+        The space of what `_handcrafted` makes of the game.
     sticky_action_prob:
         How probable it is, in each step, that the action before is played instead (nothing, in the first step).
     max_steps:
@@ -58,18 +55,25 @@ class MinAtarBreakout(gymnasium.Env[Any, Any]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
-    signals: tuple[str, ...] = ("paddle_hit", "life_lost")
+    colours: ClassVar[Colours]
+    """Of the game's channels; later ones cover earlier ones."""
 
-    def __init__(self, sticky_action_prob: float = 0.1, max_steps: int = 5000, render_mode: str | None = None) -> None:
+    def __init__(
+        self,
+        game: str,
+        handcrafted: spaces.Space[Any],
+        sticky_action_prob: float = 0.1,
+        max_steps: int = 5000,
+        render_mode: str | None = None,
+    ) -> None:
         _check(sticky_action_prob, max_steps, render_mode)
         self.sticky_action_prob = sticky_action_prob
         self.max_steps = max_steps
         self.render_mode = render_mode
-        self._game = _game_module().Env()
+        self._game = _game_module(game).Env()
         self._actions = self._game.minimal_action_set()
-        self.observation_space = spaces.Dict(
-            symbols=spaces.Box(0, 1, (4, 10, 10), np.uint8), handcrafted=handcrafted_space()
-        )
+        symbols = spaces.Box(0, 1, (len(self._game.channels), 10, 10), np.uint8)
+        self.observation_space = spaces.Dict(symbols=symbols, handcrafted=handcrafted)
         self.action_space = spaces.Discrete(len(self._actions))
         self._steps = NO_EPISODE
         self._last_action = 0
@@ -84,7 +88,7 @@ class MinAtarBreakout(gymnasium.Env[Any, Any]):
         self._game.reset()
         self._last_action = 0
         self._steps = 0
-        return self._observation(), {"paddle_hit": 0.0, "life_lost": 0.0}
+        return self._observation(), {}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Play one action.
@@ -97,16 +101,12 @@ class MinAtarBreakout(gymnasium.Env[Any, Any]):
             If there is no such action.
         """
         check_step(action, self.action_space, self._steps)
-        game = self._game
-        direction = game.ball_dir
-        reward, terminated = game.act(self._actions[self._stick(int(action))])
+        reward, terminated = self._game.act(self._actions[self._stick(int(action))])
         self._steps += 1
         truncated = not terminated and self._steps >= self.max_steps
         if terminated or truncated:
             self._steps = NO_EPISODE
-        hit = minatar_paddle_hit(direction, game.ball_dir, game.ball_y)
-        info = {"paddle_hit": float(hit), "life_lost": float(terminated)}
-        return self._observation(), float(reward), terminated, truncated, info
+        return self._observation(), float(reward), terminated, truncated, {}
 
     def _stick(self, action: int) -> int:
         """As `minatar.Environment.act`: a draw in every step, and what was played sticks, not what was asked for."""
@@ -115,21 +115,62 @@ class MinAtarBreakout(gymnasium.Env[Any, Any]):
         self._last_action = action
         return action
 
+    def _handcrafted(self) -> NDArray[Any]:
+        raise NotImplementedError
+
     def _observation(self) -> dict[str, NDArray[Any]]:
-        game = self._game
-        symbols = np.ascontiguousarray(game.state().transpose(2, 0, 1)).view(np.uint8)
-        state = minatar_state(game.ball_x, game.ball_y, game.ball_dir, game.pos)
-        return {"symbols": symbols, "handcrafted": state}
+        symbols = np.ascontiguousarray(self._game.state().transpose(2, 0, 1)).view(np.uint8)
+        return {"symbols": symbols, "handcrafted": self._handcrafted()}
 
     def render(self) -> Any:
-        """The game as ``uint8[160, 160, 3]``: bricks orange, ball white, its trail grey, paddle blue."""
+        """The game as ``uint8[160, 160, 3]``."""
         if self.render_mode is None:
             return None
         state = self._game.state()
         image = np.full((*state.shape[:2], 3), _BACKGROUND, dtype=np.uint8)
-        for name, colour in _COLOURS.items():
+        for name, colour in self.colours.items():
             image[state[:, :, self._game.channels[name]]] = colour
         return image.repeat(_PIXELS_PER_CELL, axis=0).repeat(_PIXELS_PER_CELL, axis=1)
+
+
+class MinAtarBreakout(MinAtarGame):
+    """Breakout. See `MinAtarGame` for the options and errors.
+
+    Channels: ``symbols`` ``uint8[4, 10, 10]``, where paddle, ball, trail (the ball one step ago) and bricks are;
+    ``handcrafted`` ``int64[3]`` (see `apel.environments.breakout.handcrafted`). Actions: 0 nothing, 1 left, 2 right.
+    Reward: +1 per brick. Terminated where the paddle misses the ball. Signals: ``paddle_hit`` and ``life_lost``, 1.0
+    for yes. In pictures bricks are orange, the ball is white, its trail grey, the paddle blue.
+    """
+
+    signals: tuple[str, ...] = ("paddle_hit", "life_lost")
+    # The paddle lies over the trail of a ball that it missed.
+    colours: ClassVar[Colours] = {
+        "brick": (213, 94, 0),
+        "trail": (90, 90, 90),
+        "ball": (255, 255, 255),
+        "paddle": (0, 114, 178),
+    }
+
+    def __init__(self, sticky_action_prob: float = 0.1, max_steps: int = 5000, render_mode: str | None = None) -> None:
+        super().__init__("breakout", handcrafted_space(), sticky_action_prob, max_steps, render_mode)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Start an episode; ``options`` are not used."""
+        observation, _ = super().reset(seed=seed, options=options)
+        return observation, {"paddle_hit": 0.0, "life_lost": 0.0}
+
+    def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+        """See `MinAtarGame`."""
+        direction = self._game.ball_dir
+        observation, reward, terminated, truncated, _ = super().step(action)
+        hit = minatar_paddle_hit(direction, self._game.ball_dir, self._game.ball_y)
+        return observation, reward, terminated, truncated, {"paddle_hit": float(hit), "life_lost": float(terminated)}
+
+    def _handcrafted(self) -> NDArray[Any]:
+        game = self._game
+        return minatar_state(game.ball_x, game.ball_y, game.ball_dir, game.pos)
 
 
 def _check(sticky_action_prob: float, max_steps: int, render_mode: str | None) -> None:
@@ -144,22 +185,23 @@ def _check(sticky_action_prob: float, max_steps: int, render_mode: str | None) -
         raise ValueError(message)
 
 
-def _game_module() -> Any:
-    """The module of the game, without the package around it, which imports Matplotlib and Seaborn (seconds).
+def _game_module(game: str) -> Any:
+    """The module of a game, without the package around it, which imports Matplotlib and Seaborn (seconds).
 
     It is entered under its real name, so that whoever imports the package as usual gets the same module, and games can
     be pickled.
     """
-    if _GAME in sys.modules:
-        return sys.modules[_GAME]
+    name = f"minatar.environments.{game}"
+    if name in sys.modules:
+        return sys.modules[name]
     package = find_spec(_PACKAGE)
     if package is None or not package.submodule_search_locations:
         raise missing(_PACKAGE, _EXTRA, _NOT_INSTALLED)
-    path = Path(package.submodule_search_locations[0], "environments", "breakout.py")
-    spec = spec_from_file_location(_GAME, path)
+    path = Path(package.submodule_search_locations[0], "environments", f"{game}.py")
+    spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.exists():
-        raise missing(_GAME, _EXTRA, f"no {path}")
+        raise missing(name, _EXTRA, f"no {path}")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    sys.modules[_GAME] = module
+    sys.modules[name] = module
     return module

@@ -22,7 +22,7 @@ from apel.learners.deep.networks import actor_critic
 from apel.learners.deep.retrace import Loss, acer_gradient
 from apel.learners.deep.segments import SegmentBatch, SegmentMemory, Segments, append, draw_segments, take_newest
 from apel.numerics.compiled import njit
-from apel.numerics.streams import categorical
+from apel.numerics.streams import categorical, poisson
 
 
 class Rules(NamedTuple):
@@ -30,6 +30,7 @@ class Rules(NamedTuple):
 
     learning_starts: int
     replay_ratio: int
+    replays_poisson: bool
     batch_size: int
     average: float
     """How much of the average network stays in each update."""
@@ -91,7 +92,7 @@ def choose(streams: Streams, runs: Runs, probability: Any, actions: NDArray[np.i
 
 @njit
 def learn(acer: AcerArrays, runs: Runs, steps: Steps) -> None:
-    """Learn from steps, one after the other; of perceptrons."""
+    """Learn from steps, one after the other; of compiled networks."""
     for i in range(runs.shape[0]):
         if note(acer.core, runs[i], steps, i) & UPDATE:
             update(acer, runs[i : i + 1])
@@ -108,21 +109,34 @@ def note(core: Core, run: int, steps: Steps, i: int) -> int:
 def update(acer: AcerArrays, runs: Runs) -> None:
     """One update of each run on its newest segment, and some on others from memory (see `take_newest` for whose)."""
     core, batch, rules = acer.core, acer.batch, acer.core.rules
-    for repeat in range(1 + rules.replay_ratio):
+    counts = np.zeros(runs.shape[0], dtype=np.int64)
+    repeat, learning = 0, runs
+    while learning.shape[0] > 0:
         if repeat == 0:
-            size, rows = 1, take_newest(core.memory, core.coding, runs, core.streams.sampling, batch)
+            size, rows = 1, take_newest(core.memory, core.coding, learning, core.streams.sampling, batch)
+            count_replays(core, runs, counts)
         else:
             size = rules.batch_size
-            rows = draw_segments(core.memory, core.coding, runs, size, core.streams.sampling, batch)
+            rows = draw_segments(core.memory, core.coding, learning, size, core.streams.sampling, batch)
         rows = size * rules.rows_per_segment if rules.rows_per_segment > 0 else rows
         has_region = core.loss.bound < np.inf
         if has_region:
-            evaluate(acer.network, OTHER, runs, rows, batch.inputs, batch.average)
-        predict(acer.network, runs, rows, batch.inputs, batch.outputs)
-        acer_gradient(core.loss, batch, runs.shape[0], size)
-        descend(acer.network, runs, rows, batch.inputs, batch.gradient)
+            evaluate(acer.network, OTHER, learning, rows, batch.inputs, batch.average)
+        predict(acer.network, learning, rows, batch.inputs, batch.outputs)
+        acer_gradient(core.loss, batch, learning.shape[0], size)
+        descend(acer.network, learning, rows, batch.inputs, batch.gradient)
         if has_region:
-            follow(acer.network, runs, 1.0 - rules.average)
+            follow(acer.network, learning, 1.0 - rules.average)
+        learning = runs[counts > repeat]
+        repeat += 1
+
+
+@njit
+def count_replays(core: Core, runs: Runs, counts: NDArray[np.int64]) -> None:
+    """Write how many updates from memory are due in each run."""
+    for i in range(runs.shape[0]):
+        ratio = core.rules.replay_ratio
+        counts[i] = poisson(core.streams.sampling[runs[i]], ratio) if core.rules.replays_poisson else ratio
 
 
 class BatchedAcer(BatchedDeepLearner):
@@ -176,6 +190,7 @@ class BatchedAcer(BatchedDeepLearner):
         rules = Rules(
             learning_starts=chosen.learning_starts,
             replay_ratio=chosen.replay_ratio,
+            replays_poisson=chosen.replay_count == "poisson",
             batch_size=chosen.batch_size,
             average=region.average if region else 1.0,
             rows_per_segment=0 if self.is_alone else chosen.rollout + 1,

@@ -55,6 +55,9 @@ class AcerOptions:
         Of Q against Qret: half the ``square``, or ``huber`` (linear beyond ±1).
     replay_ratio:
         Updates from memory after each on the newest segment.
+    replay_count:
+        Whether there are always so many, ``fixed``, or ``poisson``: so many on average, as in the paper's Algorithm 1
+        (the dissertation's Algorithm 3).
     batch_size:
         Segments of an update from memory.
     replay_size:
@@ -82,6 +85,7 @@ class AcerOptions:
     critic: Positive = 0.5
     critic_loss: Literal["square", "huber"] = "square"
     replay_ratio: Count = 4
+    replay_count: Literal["fixed", "poisson"] = "fixed"
     batch_size: Width = 4
     replay_size: Memory = 2500
     learning_starts: Count = 50
@@ -114,15 +118,23 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 """``minimalrl`` is the short public implementation that the dissertation's numbers point to."""
 
 
+_MAX_POISSON = 100
+"""A mean whose distribution is summed from 0 on: e⁻¹⁰⁰ is still a number."""
+
+
 def acer_options(preset: str = "paper", **options: Any) -> AcerOptions:
     """The options of a preset, with those that differ.
 
     Raises
     ------
     ValueError
-        If there is no such preset.
+        If there is no such preset, or too much is to be replayed for a Poisson distribution.
     """
     if preset not in PRESETS:
         message = f"preset: found {preset!r}, expected one of {sorted(PRESETS)}{did_you_mean(preset, PRESETS)}"
         raise ValueError(message)
-    return AcerOptions(**{**PRESETS[preset], **options})
+    chosen = AcerOptions(**{**PRESETS[preset], **options})
+    if chosen.replay_count == "poisson" and chosen.replay_ratio > _MAX_POISSON:
+        message = f"replay_ratio: found {chosen.replay_ratio} for poisson, expected at most {_MAX_POISSON}"
+        raise ValueError(message)
+    return chosen

@@ -1,35 +1,24 @@
-"""The perceptrons of all runs of a shard, each computed by itself in compiled code."""
+"""The networks of all runs of a shard, each computed by itself in compiled code."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from apel.dynamics.batched_environment import Runs
 from apel.learners.base import State
-from apel.learners.deep.networks import INPUT, Architecture, Dense
+from apel.learners.deep.layer_table import INPUTS, MAP, OUTPUTS, Layers, Maps, filled, table_of
+from apel.learners.deep.networks import Architecture
 from apel.learners.deep.parameters import Layout
-from apel.learners.deep.perceptron import (
-    LINEAR,
-    RELU,
-    TANH,
-    Kernels,
-    call_adam,
-    call_backward,
-    call_clip,
-    call_forward,
-    filled,
-    kernels,
-)
+from apel.learners.deep.passes import Kernels, call_adam, call_backward, call_clip, call_forward, kernels
 from apel.learners.deep.products import LANES, Floats, aligned
 from apel.numerics.compiled import njit
 
 ONLINE, OTHER, ACTING = range(3)
 """The network that learns; its target, or average; what the policy acts on."""
-_ACTIVATIONS = {"linear": LINEAR, "tanh": TANH, "relu": RELU}
 
 
 class Descent(NamedTuple):
@@ -43,10 +32,11 @@ class Descent(NamedTuple):
     by_variable: bool = False
 
 
-class Perceptron(NamedTuple):
+class NetworkArrays(NamedTuple):
     """Those of R runs with P parameters each, and room for what a minibatch of one of them takes."""
 
-    layers: NDArray[np.int64]
+    layers: Layers
+    maps: Maps
     dueling: int
     online: Floats
     """``float32[R, P]``."""
@@ -60,6 +50,8 @@ class Perceptron(NamedTuple):
     """``int64[R]``: steps of Adam so far."""
     descent: Descent
     activations: Floats
+    patches: Floats
+    normalised: Floats
     deltas: Floats
     transposed: Floats
     gradient: Floats
@@ -83,7 +75,7 @@ class Perceptron(NamedTuple):
 
 
 @njit
-def evaluate(network: Perceptron, which: int, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
+def evaluate(network: NetworkArrays, which: int, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
     """See `apel.learners.deep.engines`."""
     for i in range(runs.shape[0]):
         run = runs[i]
@@ -94,24 +86,27 @@ def evaluate(network: Perceptron, which: int, runs: Runs, count: int, inputs: An
             row = network.frozen[run]
         call_forward(
             network.kernels.forward,
-            (network.layers, network.dueling, row, inputs[i, :count], network.activations, outputs[i, :count]),
-        )
+            (
+                network.layers, network.maps, network.dueling, row, inputs[i, :count], network.activations,
+                network.patches, network.normalised, outputs[i, :count],
+            ),
+        )  # fmt: skip
 
 
 @njit
-def predict(network: Perceptron, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
+def predict(network: NetworkArrays, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
     """See `apel.learners.deep.engines`; of one run."""
     evaluate(network, ONLINE, runs, count, inputs, outputs)
 
 
 @njit
-def descend(network: Perceptron, runs: Runs, count: int, inputs: Any, gradient: Any) -> None:
+def descend(network: NetworkArrays, runs: Runs, count: int, inputs: Any, gradient: Any) -> None:
     """See `apel.learners.deep.engines`; of one run."""
     run, descent = runs[0], network.descent
     row, found = network.online[run], network.gradient
-    examples = inputs[0, :count], network.activations, gradient[0, :count]
+    examples = inputs[0, :count], network.activations, network.patches, network.normalised, gradient[0, :count]
     rooms = network.deltas, network.transposed, found
-    call_backward(network.kernels.backward, (network.layers, network.dueling, row, *examples, *rooms))
+    call_backward(network.kernels.backward, (network.layers, network.maps, network.dueling, row, *examples, *rooms))
     if descent.largest_norm > 0.0:
         call_clip(network.kernels.clip, (network.layers, descent.by_variable, descent.largest_norm, found))
     network.clock[run] += 1
@@ -121,7 +116,7 @@ def descend(network: Perceptron, runs: Runs, count: int, inputs: Any, gradient: 
 
 
 @njit
-def follow(network: Perceptron, runs: Runs, share: float) -> None:
+def follow(network: NetworkArrays, runs: Runs, share: float) -> None:
     """See `apel.learners.deep.engines`."""
     part = np.float32(share)
     for i in range(runs.shape[0]):
@@ -134,12 +129,12 @@ def follow(network: Perceptron, runs: Runs, share: float) -> None:
 
 
 class CompiledNetwork:
-    """The perceptrons of R runs.
+    """The networks of R runs.
 
     Parameters
     ----------
     architecture:
-        Of dense layers alone.
+        Their layers.
     seeds:
         A 64-bit seed per run.
     descent:
@@ -156,18 +151,21 @@ class CompiledNetwork:
         self, architecture: Architecture, seeds: Sequence[int], descent: Descent, batch_size: int, *, has_other: bool
     ) -> None:
         layout = Layout(architecture)
-        num_runs, layers = len(seeds), _layer_table(architecture, layout)
-        widths = [filled(layer.outputs) for layer in _dense(architecture)]
-        largest = max(layer.outputs * filled(layer.inputs) for layer in _dense(architecture))
+        num_runs, table = len(seeds), table_of(architecture, layout)
+        layers = table.layers.tolist()
+        # Those that a map reads are written to with their weights' rows as columns.
+        widest = max(max(filled(one[OUTPUTS]), filled(one[INPUTS]) if one[MAP] >= 0 else 0) for one in layers)
+        largest = max(one[OUTPUTS] * filled(one[INPUTS]) for one in layers)
         online = layout.initial_rows(seeds)
         other = aligned(num_runs if has_other else 0, layout.size)
         other[:] = online[: len(other)]
         # Room for transposed weights, then zeros, then a one.
-        transposed = aligned(largest + max(widths) + LANES)
+        transposed = aligned(largest + widest + LANES)
         transposed[-LANES] = 1.0
         self.architecture, self.layout = architecture, layout
-        self.arrays = Perceptron(
-            layers=layers,
+        self.arrays = NetworkArrays(
+            layers=table.layers,
+            maps=table.maps,
             dueling=int(architecture.dueling),
             online=online,
             other=other,
@@ -177,8 +175,10 @@ class CompiledNetwork:
             square=aligned(num_runs, layout.size),
             clock=np.zeros(num_runs, dtype=np.int64),
             descent=descent,
-            activations=aligned(batch_size * sum(widths)),
-            deltas=aligned(batch_size * sum(widths)),
+            activations=aligned(batch_size * table.values),
+            patches=aligned(batch_size * table.patches),
+            normalised=aligned(batch_size * table.normalised),
+            deltas=aligned(batch_size * table.values),
             transposed=transposed,
             gradient=aligned(layout.size),
             kernels=kernels(),
@@ -212,18 +212,3 @@ class CompiledNetwork:
         arrays.is_frozen[:] = frozen["is_frozen"]
         for name in ("clock", "mean", "square"):
             getattr(arrays, name)[:] = adam[name]
-
-
-def _dense(architecture: Architecture) -> list[Dense]:
-    return cast("list[Dense]", list(architecture.layers))
-
-
-def _layer_table(architecture: Architecture, layout: Layout) -> NDArray[np.int64]:
-    rows, room = list[list[int]](), 0
-    for i, layer in enumerate(_dense(architecture)):
-        source = -1 if layer.source == INPUT else layer.source
-        column = -1 if layer.column is None else layer.column
-        begin = layout.begin[2 * i], layout.begin[2 * i + 1]
-        rows.append([source, layer.inputs, layer.outputs, *begin, _ACTIVATIONS[layer.activation], column, room])
-        room += filled(layer.outputs)
-    return np.array(rows, dtype=np.int64)

@@ -1,6 +1,6 @@
 """What deep learners have in common: observations in, actions out, and one algorithm on either engine.
 
-An algorithm is a few functions over arrays (`Algorithm`). For perceptrons all of them are compiled, and whatever a
+An algorithm is a few functions over arrays (`Algorithm`). On the processor all of them are compiled, and whatever a
 learner is told, one step of several runs or a whole episode of one, is one call, in which each run is computed by
 itself. For PyTorch's networks the same functions run as plain Python, with the runs of a call together.
 """
@@ -18,6 +18,7 @@ from apel.dynamics.batched_environment import Runs
 from apel.learners.banks.batched_learner import NO_ERRORS, Transitions
 from apel.learners.base import State
 from apel.learners.deep.compiled_network import CompiledNetwork, Descent
+from apel.learners.deep.devices import is_compiled_for
 from apel.learners.deep.draws import Streams
 from apel.learners.deep.encoding import Encoder, Frames, encode_all
 from apel.learners.deep.engines import ACTING, evaluate, follow
@@ -58,7 +59,7 @@ class Algorithm(NamedTuple):
     act: Any
     """``(learner, runs, frames, actions, probability)``: writes the last two."""
     learn: Any
-    """``(learner, runs, steps)``: of perceptrons; a run may be named for several steps in turn."""
+    """``(learner, runs, steps)``: of compiled networks; a run may be named for several steps in turn."""
     note: Any
     """``(core, run, steps, i)``: remember a step; what is due after it."""
     update: Any
@@ -134,7 +135,7 @@ class BatchedDeepLearner:
         return values
 
     def learn(self, runs: Runs, transitions: Transitions) -> None:
-        """Learn from one step of each run; of perceptrons a run may be named for several steps in turn."""
+        """Learn from one step of each run; of compiled networks a run may be named for several steps in turn."""
         _, action, reward, _, *rest = transitions
         # What comes from another process cannot be written to, and would be compiled for once more.
         own: list[Any] = [np.require(column, requirements=["C", "W"]) for column in (action, reward, *rest)]
@@ -149,7 +150,7 @@ class BatchedDeepLearner:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether its networks are perceptrons, which this project's own code multiplies."""
+        """Whether this project's own code multiplies its networks."""
         return isinstance(self.acting, CompiledNetwork)
 
     @property
@@ -201,9 +202,9 @@ class BatchedDeepLearner:
         self, architecture: Architecture, seeds: Sequence[int], descent: Descent, batch_size: int, *, has_other: bool
     ) -> Any:
         """The networks of all runs, on the engine that fits."""
-        if architecture.is_perceptron and self.options.device == "cpu":
+        if is_compiled_for(self.options.device):
             return CompiledNetwork(architecture, seeds, descent, batch_size, has_other=has_other)
-        # Loading PyTorch takes seconds, which perceptrons need not spend.
+        # Loading PyTorch takes seconds, which compiled networks need not spend.
         from apel.learners.deep.stacked_network import StackedNetwork
 
         options = self.options.device, self.options.lanes

@@ -96,7 +96,7 @@ def exploration(rules: Rules, steps: int) -> float:
 
 @njit
 def learn(dqn: DqnArrays, runs: Runs, steps: Steps) -> None:
-    """Learn from steps, one after the other; of perceptrons."""
+    """Learn from steps, one after the other; of compiled networks."""
     for i in range(runs.shape[0]):
         due = note(dqn.core, runs[i], steps, i)
         if due & UPDATE:

@@ -1,9 +1,9 @@
 """What a learner asks of its networks, whichever engine computes them.
 
-An algorithm is written once: as compiled code it runs on perceptrons (`compiled_network`), one run at a time, and the
-same function as plain Python on PyTorch's stacked networks (`stacked_network`), several runs at a time. These few
-functions are where both meet. The rows of all arrays are those of ``runs``; inputs and outputs are ``float32[A, B,
-…]``, of which the first ``count`` of B count.
+An algorithm is written once: as compiled code it runs on compiled networks (`compiled_network`), one run at a time, and
+the same function as plain Python on PyTorch's stacked networks (`stacked_network`), several runs at a time. These few
+functions are where both meet. The rows of all arrays are those of ``runs``; inputs and outputs are
+``float32[A, B, …]``, of which the first ``count`` of B count.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba.extending import overload
 
 from apel.dynamics.batched_environment import Runs
 from apel.learners.deep import compiled_network
-from apel.learners.deep.compiled_network import ACTING, ONLINE, OTHER, Perceptron
+from apel.learners.deep.compiled_network import ACTING, ONLINE, OTHER, NetworkArrays
 
 __all__ = ["ACTING", "ONLINE", "OTHER", "descend", "evaluate", "follow", "predict"]
 
@@ -40,8 +40,8 @@ def follow(network: Any, runs: Runs, share: float) -> None:
     network.follow(runs, share)
 
 
-def _is_perceptron(network: Any) -> bool:
-    return isinstance(network, types.BaseNamedTuple) and network.instance_class is Perceptron
+def _is_compiled(network: Any) -> bool:
+    return isinstance(network, types.BaseNamedTuple) and network.instance_class is NetworkArrays
 
 
 # numba wants plain functions.
@@ -50,7 +50,7 @@ def _is_perceptron(network: Any) -> bool:
 
 @overload(evaluate, strict=False)
 def _evaluate(network: Any, which: Any, runs: Any, count: Any, inputs: Any, outputs: Any) -> Any:
-    if not _is_perceptron(network):
+    if not _is_compiled(network):
         return None
     return lambda network, which, runs, count, inputs, outputs: compiled_network.evaluate(
         network, which, runs, count, inputs, outputs
@@ -59,14 +59,14 @@ def _evaluate(network: Any, which: Any, runs: Any, count: Any, inputs: Any, outp
 
 @overload(predict, strict=False)
 def _predict(network: Any, runs: Any, count: Any, inputs: Any, outputs: Any) -> Any:
-    if not _is_perceptron(network):
+    if not _is_compiled(network):
         return None
     return lambda network, runs, count, inputs, outputs: compiled_network.predict(network, runs, count, inputs, outputs)
 
 
 @overload(descend, strict=False)
 def _descend(network: Any, runs: Any, count: Any, inputs: Any, gradient: Any) -> Any:
-    if not _is_perceptron(network):
+    if not _is_compiled(network):
         return None
     return lambda network, runs, count, inputs, gradient: compiled_network.descend(
         network, runs, count, inputs, gradient
@@ -75,6 +75,6 @@ def _descend(network: Any, runs: Any, count: Any, inputs: Any, gradient: Any) ->
 
 @overload(follow, strict=False)
 def _follow(network: Any, runs: Any, share: Any) -> Any:
-    if not _is_perceptron(network):
+    if not _is_compiled(network):
         return None
     return lambda network, runs, share: compiled_network.follow(network, runs, share)

@@ -134,7 +134,7 @@ class EpisodePlayer:
     Parameters
     ----------
     learner:
-        Of perceptrons.
+        Of compiled networks.
     worlds:
         Of every run, of one kind.
     seen:

@@ -29,6 +29,8 @@ class GraphLayer:
         After it.
     stride, pads:
         Of a convolution; what is put above, left, below and right.
+    normalised:
+        Before its activation, without gain and bias, see `apel.learners.deep.normalising`.
     """
 
     weight: Floats
@@ -36,6 +38,7 @@ class GraphLayer:
     activation: Literal["linear", "tanh", "relu"]
     stride: int = 1
     pads: tuple[int, int, int, int] = (0, 0, 0, 0)
+    normalised: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,4 +106,4 @@ def _layer(layer: Layer, variables: Sequence[Floats], num_actions: int) -> Graph
         return GraphLayer(weight, bias, "relu", layer.stride, (top, left, bottom, right))
     if _is_head(layer):
         weight, bias = weight[:, :num_actions], bias[:num_actions]
-    return GraphLayer(weight, bias, layer.activation)
+    return GraphLayer(weight, bias, layer.activation, normalised=layer.normalised)

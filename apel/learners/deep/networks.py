@@ -1,14 +1,14 @@
 """What networks consist of: bodies from options, and the networks of the learners, layer by layer.
 
-Nothing here computes. Perceptrons on the processor are computed by compiled loops (`compiled_network`), convolutions
-and whatever is on a GPU by PyTorch (`stacked_network`).
+Nothing here computes. What is on the processor is computed by compiled loops (`compiled_network`), what is on a GPU by
+PyTorch (`stacked_network`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from pydantic.dataclasses import dataclass as options_class
@@ -44,6 +44,10 @@ class NetworkOptions:
     initialisation:
         Of the weights: orthogonal with gain √2 and zero biases, as in OpenAI Baselines; Glorot's, as it has in its
         network for DQN on Atari; or PyTorch's default.
+    layer_norm:
+        Each hidden dense layer is normalised before its activation, that of a head too (Ba, Kiros & Hinton 2016;
+        without learned gain and bias). With data of others it keeps values from running away (Ball et al. 2023,
+        *Efficient Online Reinforcement Learning with Offline Data*).
     """
 
     hidden: tuple[Width, ...] = (64, 64)
@@ -52,13 +56,14 @@ class NetworkOptions:
     padding: Literal["same", "valid"] = "valid"
     activation: Literal["tanh", "relu"] = "tanh"
     initialisation: Literal["orthogonal", "glorot", "pytorch"] = "orthogonal"
+    layer_norm: bool = False
 
 
 @dataclass(frozen=True)
 class Dense:
     """``activation(x W + b)`` of the input, or of an earlier layer (`source`), all of it in a row.
 
-    As a head it writes its outputs from `column` on.
+    As a head it writes its outputs from `column` on. If it is ``normalised``, then before its activation.
     """
 
     source: int
@@ -68,6 +73,7 @@ class Dense:
     weight: Initialiser
     bias: Initialiser = zeros
     column: int | None = None
+    normalised: bool = False
 
     @property
     def variables(self) -> list[tuple[Shape, Initialiser]]:
@@ -137,11 +143,6 @@ class Architecture:
     dueling: bool = False
     channels_last: bool = False
 
-    @property
-    def is_perceptron(self) -> bool:
-        """Whether all layers are dense."""
-        return all(isinstance(layer, Dense) for layer in self.layers)
-
 
 def q_network(
     shape: Sequence[int], num_actions: int, options: NetworkOptions, head: Sequence[int] = (), *, dueling: bool = False
@@ -203,10 +204,10 @@ def _body(layers: list[Layer], shape: Sequence[int], options: NetworkOptions) ->
 def _dense(
     options: NetworkOptions, source: int, inputs: int, outputs: int, activation: Activation, column: int | None = None
 ) -> Dense:
-    if options.initialisation == "pytorch":
-        uniform = fan_in_uniform(inputs)
-        return Dense(source, inputs, outputs, activation, uniform, uniform, column)
-    return Dense(source, inputs, outputs, activation, _WEIGHTS[options.initialisation], zeros, column)
+    weight = _WEIGHTS.get(options.initialisation, fan_in_uniform(inputs))
+    bias: Initialiser = weight if options.initialisation == "pytorch" else zeros
+    normalised = options.layer_norm and column is None and activation != "linear"
+    return Dense(source, inputs, outputs, activation, weight, bias, column, normalised)
 
 
 def _add_head(
@@ -223,7 +224,7 @@ def _add_head(
     for units, activation, place in [*sizes, (outputs, "linear", column)]:
         layer = _dense(options, source, width, units, activation, place)
         if options.initialisation != "pytorch":
-            layer = Dense(source, width, units, activation, glorot, zeros, place)
+            layer = replace(layer, weight=glorot, bias=zeros)
         layers.append(layer)
         source, width = len(layers) - 1, units
 

@@ -13,18 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from apel.learners.deep.networks import Architecture, Dense
+from apel.learners.deep.initialisers import Shape
+from apel.learners.deep.networks import Architecture
 from apel.learners.deep.products import LANES, aligned
 
 _MAX_PARAMETERS = 10_000_000
 """Six times those of the network for Atari (Mnih et al. 2015)."""
 
 
+_IMAGES = 5
+"""Axes of the weights of convolutions of several runs."""
+
+
 class Layout:
     """Where the variables of a network lie in a row of parameters.
 
-    The outputs of dense layers are filled up to whole vectors, with weights that are zero and stay so; and every
-    variable begins at a multiple of 64 bytes.
+    The outputs of layers are filled up to whole vectors, with weights that are zero and stay so; and every variable
+    begins at a multiple of 64 bytes. A convolution's filters ``[filters, channels, height, width]`` are its outputs,
+    and so come last where they are stored, as ``[width, channels, height, filters]``.
 
     Attributes
     ----------
@@ -44,7 +50,8 @@ class Layout:
         self._stored, self.begin, self.size = list[tuple[int, ...]](), list[int](), 0
         for layer in architecture.layers:
             for shape, _ in layer.variables:
-                stored = (*shape[:-1], _filled(shape[-1])) if isinstance(layer, Dense) else tuple(shape)
+                turned = _turned(shape)
+                stored = (*turned[:-1], _filled(turned[-1]))
                 self._stored.append(stored)
                 self.begin.append(self.size)
                 self.size += _filled(math.prod(stored))
@@ -70,7 +77,16 @@ class Layout:
             [shape for layer in self._architecture.layers for shape, _ in layer.variables],
         )
         views = [rows[:, at : at + math.prod(stored)].reshape(len(rows), *stored) for at, stored in parts]
-        return [view[..., : shape[-1]] for view, shape in zip(views, shapes, strict=True)]
+        whole = [view[..., : _turned(shape)[-1]] for view, shape in zip(views, shapes, strict=True)]
+        return [view.swapaxes(1, 4) if view.ndim == _IMAGES else view for view in whole]
+
+
+def _turned(shape: Shape) -> tuple[int, ...]:
+    """The shape of a variable as it is stored, but for what it is filled up with."""
+    if len(shape) < _IMAGES - 1:
+        return tuple(shape)
+    filters, channels, height, width = shape
+    return width, channels, height, filters
 
 
 def _filled(count: int) -> int:

@@ -20,7 +20,7 @@ from apel.learners.deep.draws import Streams
 from apel.learners.deep.encoding import Coding, Frames, encode_all
 from apel.learners.deep.engines import ACTING, ONLINE, OTHER, descend, evaluate, follow, predict
 from apel.learners.deep.networks import q_network, twin_q
-from apel.learners.deep.perceptron import adam
+from apel.learners.deep.passes import adam
 from apel.learners.deep.replay import Minibatch, ReplayMemory, Ring, draw, remember, take
 from apel.learners.deep.sac_options import SacOptions
 from apel.numerics.compiled import njit
@@ -105,7 +105,7 @@ def begin_at_random(core: Core, runs: Runs, probability: Any) -> None:
 
 @njit
 def learn(sac: SacArrays, runs: Runs, steps: Steps) -> None:
-    """Learn from steps, one after the other; of perceptrons."""
+    """Learn from steps, one after the other; of compiled networks."""
     for i in range(runs.shape[0]):
         if note(sac.core, runs[i], steps, i) & UPDATE:
             update(sac, runs[i : i + 1])

@@ -1,4 +1,4 @@
-"""Networks of all runs of a shard on PyTorch: convolutions, and whatever is on a GPU."""
+"""Networks of all runs of a shard on PyTorch: those on a GPU."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from apel.learners.base import State
 from apel.learners.deep.compiled_network import ACTING, ONLINE, Descent
 from apel.learners.deep.devices import open_device
 from apel.learners.deep.networks import INPUT, Architecture, Convolution, Dense
+from apel.learners.deep.normalising import EPSILON
 from apel.learners.deep.parameters import Layout
 
 if find_spec("torch") is None:
-    message = 'convolutions and GPUs need PyTorch: pip install "apel[deep]"'
+    message = 'GPUs need PyTorch: pip install "apel[deep]"'
     raise ImportError(message)
 
 import torch
 from torch import Tensor
+from torch.nn.functional import layer_norm
 
 from apel.learners.deep.stacked_rows import FrozenRows, RowAdam, Rows, clip_each_row, clip_each_variable
 
@@ -55,7 +57,7 @@ class StackedNetwork:
         self._other = self._online.clone() if has_other else None
         self._frozen = FrozenRows(self._rows, len(seeds))
         self._adam = RowAdam(self._online, descent.learning_rate, descent.epsilon)
-        self._moving: Tensor | None = None
+        self._moving = list[Tensor]()
         self._predicted: Tensor | None = None
 
     @property
@@ -80,16 +82,21 @@ class StackedNetwork:
 
     def predict(self, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
         """See `apel.learners.deep.engines`; of the runs of one call."""
-        self._moving = self._rows.of(self._online, runs).detach().requires_grad_()
-        self._predicted = self.values(self._moving, self._rows.tensor(inputs[: len(runs), :count]))
+        # Of each variable by itself: through views of a whole row each gradient would be as long as the row.
+        variables = self.layout.unpack(self._rows.of(self._online, runs))
+        self._moving = [variable.detach().requires_grad_() for variable in variables]
+        self._predicted = self._values(self._moving, self._rows.tensor(inputs[: len(runs), :count]))
         outputs[: len(runs), :count] = self._predicted[: len(runs)].detach().cpu().numpy()
 
     def descend(self, runs: Runs, count: int, inputs: Any, gradient: Any) -> None:
         """See `apel.learners.deep.engines`; of the runs of one call."""
-        assert self._predicted is not None and self._moving is not None  # noqa: PT018, S101 - `predict` comes before it
+        assert self._predicted is not None  # noqa: S101 - `predict` comes before it
         slope = self._rows.tensor(np.ascontiguousarray(gradient[: len(runs), :count]))
-        (gradients,) = torch.autograd.grad(self._predicted, self._moving, slope)
-        self._moving = self._predicted = None
+        found = torch.autograd.grad(self._predicted, self._moving, slope)
+        gradients = torch.zeros(len(slope), self.layout.size, device=slope.device)
+        for place, one in zip(self.layout.unpack(gradients), found, strict=True):
+            place.copy_(one)
+        self._moving, self._predicted = [], None
         if self._descent.largest_norm > 0.0:
             if self._descent.by_variable:
                 clip_each_variable(gradients, self.layout, self._descent.largest_norm)
@@ -130,8 +137,10 @@ class StackedNetwork:
 
     def values(self, rows: Tensor, inputs: Tensor) -> Tensor:
         """``[A, B, outputs]`` of parameters ``[A, P]`` and inputs ``[A, B, inputs]``."""
-        architecture = self.architecture
-        variables = iter(self.layout.unpack(rows))
+        return self._values(self.layout.unpack(rows), inputs)
+
+    def _values(self, unpacked: Sequence[Tensor], inputs: Tensor) -> Tensor:
+        architecture, variables = self.architecture, iter(unpacked)
         given = inputs.reshape(*inputs.shape[:2], *architecture.shape)
         given = given.movedim(-1, 2) if architecture.channels_last else given
         found, heads = list[Tensor](), list[Tensor]()
@@ -139,7 +148,9 @@ class StackedNetwork:
             x = given if layer.source == INPUT else found[layer.source]
             weight, bias = next(variables), next(variables)
             if isinstance(layer, Dense):
-                found.append(_ACTIVATIONS[layer.activation](_dense(x.flatten(2), weight, bias)))
+                made = torch.baddbmm(bias.unsqueeze(1), x.flatten(2), weight)
+                made = layer_norm(made, made.shape[-1:], eps=EPSILON) if layer.normalised else made
+                found.append(_ACTIVATIONS[layer.activation](made))
                 heads += found[-1:] if layer.column is not None else []
             else:
                 found.append(torch.relu(_convolve(layer, x, weight, bias)))
@@ -155,22 +166,16 @@ class StackedNetwork:
         return self._rows.of(matrix, runs)
 
 
-def _dense(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """``x W + b``: ``[A, B, inputs]`` to ``[A, B, outputs]``."""
-    if weight.shape[-1] == 1:
-        # A batched matrix product with one column rounds differently from one number of runs to another, and a run's
-        # result must not depend on its neighbours.
-        return (x * weight.transpose(1, 2)).sum(-1, keepdim=True) + bias.unsqueeze(1)
-    if x.shape[:2] == (1, 1):
-        # A single product of a vector is none of a batch, and on some machines rounds differently.
-        x, weight, bias = (tensor.expand(2, *tensor.shape[1:]) for tensor in (x, weight, bias))
-        return torch.baddbmm(bias.unsqueeze(1), x, weight)[:1]
-    return torch.baddbmm(bias.unsqueeze(1), x, weight)
-
-
 def _convolve(layer: Convolution, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """``[A, B, channels, height, width]`` to the same with other channels."""
+    """``[A, B, channels, height, width]`` to the same with other channels: a product of all runs' patches and filters.
+
+    It takes the library of products alone, whose results are reproducible (see `open_device`); those of cuDNN's
+    convolutions are not all, and many groups of few channels are slow with them.
+    """
     x = torch.nn.functional.pad(x, (*layer.margins(x.shape[-1]), *layer.margins(x.shape[-2])))
-    # Run by run: a batch of images keeps a core busy, and a grouped convolution's rounding depends on the groups.
-    each = zip(x, weight, bias, strict=True)
-    return torch.stack([torch.nn.functional.conv2d(one, w, b, stride=layer.stride) for one, w, b in each])
+    runs, batch = x.shape[:2]
+    patches = x.unfold(3, layer.kernel, layer.stride).unfold(4, layer.kernel, layer.stride)
+    height, width = patches.shape[3:5]
+    columns = patches.permute(0, 1, 3, 4, 2, 5, 6).reshape(runs, batch * height * width, -1)
+    found = torch.baddbmm(bias.unsqueeze(1), columns, weight.flatten(2).transpose(1, 2))
+    return found.view(runs, batch, height, width, layer.filters).permute(0, 1, 4, 2, 3)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.optim.adam import adam
 
 from apel.dynamics.batched_environment import Runs
 from apel.learners.base import State
@@ -17,45 +18,53 @@ from apel.learners.deep.parameters import Layout
 class Rows:
     """Chosen rows of matrices with one row per run.
 
-    On the CPU what a run's row gives does not depend on the other rows that are chosen (tests hold that, bit for bit).
-    Elsewhere a library may choose its algorithm by the number of rows; there all calls have one shape, of so many
-    lanes: more runs come in several calls, and fewer are filled up with copies of the first.
+    A library may choose its algorithm, and so its rounding, by the number of rows. So all calls have one shape, of so
+    many lanes: more runs come in several calls, and fewer are filled up with copies of the first.
     """
 
     def __init__(self, num_runs: int, device: torch.device, lanes: int) -> None:
         self.device = device
         self._num_runs = num_runs
-        self._lanes = None if device.type == "cpu" else lanes
+        self._lanes = lanes
+        self._last = np.zeros(0, dtype=np.int64), torch.zeros(0, dtype=torch.int64)
 
     def calls(self, runs: Runs) -> list[Runs]:
         """The runs of each call."""
-        if self._lanes is None:
-            return [runs] if len(runs) else []
         return [runs[i : i + self._lanes] for i in range(0, len(runs), self._lanes)]
 
     def of(self, matrix: Tensor, runs: Runs) -> Tensor:
         """``[A or lanes, P]``: the chosen rows; the matrix itself where all are chosen."""
-        chosen = self._filled(runs)
-        if len(runs) == len(chosen) == self._num_runs:
+        if len(runs) == self._num_runs == self._lanes:
             return matrix
-        return matrix[torch.from_numpy(chosen).to(self.device)]
+        return matrix[self._filled(self._chosen(runs))]
 
     def tensor(self, array: NDArray[Any]) -> Tensor:
         """An array with a row for each chosen run, in the same order, on the device."""
-        return torch.from_numpy(self._filled(array)).to(self.device)
+        return self._filled(torch.from_numpy(array).to(self.device))
 
     def write(self, matrix: Tensor, runs: Runs, values: Tensor) -> None:
         """Set the chosen rows to ``values`` ``[A or lanes, P]``."""
-        matrix[torch.from_numpy(runs).to(self.device)] = values[: len(runs)]
+        matrix[self._chosen(runs)] = values[: len(runs)]
 
     def copy(self, matrix: Tensor, other: Tensor, runs: Runs) -> None:
         """Set the chosen rows to those of another matrix."""
-        chosen = torch.from_numpy(runs).to(self.device)
+        chosen = self._chosen(runs)
         matrix[chosen] = other[chosen]
 
-    def _filled(self, array: NDArray[Any]) -> NDArray[Any]:
-        missing = 0 if self._lanes is None else self._lanes - len(array)
-        return np.concatenate([array, np.repeat(array[:1], missing, axis=0)]) if missing else array
+    def _chosen(self, runs: Runs) -> Tensor:
+        """Their numbers on the device; kept until others are asked for, since all calls of an update name the same."""
+        known, chosen = self._last
+        if len(known) != len(runs) or not np.array_equal(known, runs):
+            # A copy, because on the CPU the tensor would be a view.
+            known = runs.copy()
+            chosen = torch.from_numpy(known).to(self.device)
+            self._last = known, chosen
+        return chosen
+
+    def _filled(self, rows: Tensor) -> Tensor:
+        """On the device, so that copies need not travel."""
+        missing = self._lanes - len(rows)
+        return torch.cat([rows, rows[:1].expand(missing, *rows.shape[1:])]) if missing else rows
 
     def array(self, matrix: Tensor | None) -> NDArray[np.float32] | None:
         """A matrix as a checkpoint holds it."""
@@ -122,33 +131,42 @@ class RowAdam:
     """Adam (Kingma & Ba 2015) with a clock and moments of its own for every row of ``rows`` ``[R, P]``."""
 
     def __init__(self, rows: Tensor, learning_rate: float, epsilon: float) -> None:
-        self._parameters = [torch.nn.Parameter(row) for row in rows]
-        self._adam = torch.optim.Adam(self._parameters, lr=learning_rate, eps=epsilon, fused=True)
+        self._state = {
+            "step": torch.zeros(len(rows), dtype=torch.float32, device=rows.device),
+            "exp_avg": torch.zeros_like(rows),
+            "exp_avg_sq": torch.zeros_like(rows),
+        }
+        # Views of each run's part, which `torch.optim.Adam` would look up and check one by one in every step.
+        self._parameters = rows.unbind()
+        self._clocks, self._means, self._squares = (matrix.unbind() for matrix in self._state.values())
+        self._learning_rate, self._epsilon = learning_rate, epsilon
 
     def step(self, runs: Runs, gradients: Tensor) -> None:
         """Descend in the rows of ``runs``, with ``gradients`` ``[A or lanes, P]``."""
-        chosen = [self._parameters[run] for run in runs.tolist()]
-        for parameter, gradient in zip(chosen, gradients, strict=False):
-            parameter.grad = gradient
-        self._adam.step()
-        for parameter in chosen:
-            parameter.grad = None
+        chosen = runs.tolist()
+        with torch.no_grad():
+            adam(
+                [self._parameters[run] for run in chosen],
+                list(gradients[: len(chosen)].unbind()),
+                [self._means[run] for run in chosen],
+                [self._squares[run] for run in chosen],
+                [],
+                [self._clocks[run] for run in chosen],
+                fused=True,
+                amsgrad=False,
+                beta1=0.9,
+                beta2=0.999,
+                lr=self._learning_rate,
+                weight_decay=0.0,
+                eps=self._epsilon,
+                maximize=False,
+            )
 
     def state(self) -> State:
         """Clocks and moments."""
-        states = [self._adam.state[parameter] or _no_moments(parameter) for parameter in self._parameters]
-        return {name: torch.stack([one[name] for one in states]).cpu().numpy() for name in _no_moments(torch.zeros(1))}
+        return {name: values.cpu().numpy().copy() for name, values in self._state.items()}
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
-        for i, parameter in enumerate(self._parameters):
-            stored = {name: torch.from_numpy(np.array(values[i])) for name, values in state.items()}
-            self._adam.state[parameter] = {name: value.to(parameter.device) for name, value in stored.items()}
-
-
-def _no_moments(parameter: Tensor) -> dict[str, Tensor]:
-    return {
-        "step": torch.zeros((), dtype=torch.float32),
-        "exp_avg": torch.zeros_like(parameter),
-        "exp_avg_sq": torch.zeros_like(parameter),
-    }
+        for name, values in state.items():
+            self._state[name].copy_(torch.from_numpy(np.array(values)))

@@ -12,10 +12,16 @@ majority                 number of members whose best action is a (Eq. 2.10)    
 rank                     sum over members of a's rank, best m … worst 1 (Eq. 2.11)     exp(p(a) / τ)
 boltzmann_addition       sum over members of πʲ(a)                                     p(a)^(1/τ)
 boltzmann_multiplication product over members of πʲ(a)                                 p(a)^(1/τ)
+linear                   Σⱼ wⱼ Qʲ(a), with learned weights w                           exp(p(a) / τ)
 ======================== ============================================================= =====================
 
 with πʲ(a) ∝ exp(Qʲ(a) / τₘ). (Eq. 2.9 as printed has its temperature inside the preference.) Best actions that are
 equally good are drawn from; equal values share their mean rank.
+
+The linear combination is that of Marivate & Littman (2013), *An ensemble of linearly combined reinforcement-learning
+agents*, as §2.5.1 tells of it: its weights, at first 1/M each, are learned by TD-learning on the combination. With
+δ = r + γ maxₐ p(s′, a) − p(s, a) they become w + α δ Q(s, a) / |Q(s, a)|², where Q is the vector of the members'
+values. The division is ours (normalised least mean squares, Nagumo & Noda 1967): returns have any size, and α none.
 """
 
 from __future__ import annotations
@@ -41,6 +47,8 @@ from apel.numerics.streams import Stream, categorical, integer, stream_of_seed
 
 MAJORITY, RANK, ADDITION, MULTIPLICATION = range(4)
 _METHODS = ("majority", "rank", "boltzmann_addition", "boltzmann_multiplication")
+LINEAR = "linear"
+"""The method whose combination is learned, and which has no compiled form."""
 
 
 @dataclass(frozen=True, config=OPTIONS_CONFIG)
@@ -55,11 +63,15 @@ class VotingOptions:
         τ > 0 of the policy over preferences; the default is the dissertation's for majority voting (§4.3.5).
     member_temperature:
         τₘ > 0 of the members' own Boltzmann policies, for the two Boltzmann methods.
+    weight_learning_rate, discount:
+        α in [0, 1] and γ, for the weights of the linear combination.
     """
 
-    method: Literal["majority", "rank", "boltzmann_addition", "boltzmann_multiplication"] = "majority"
+    method: Literal["majority", "rank", "boltzmann_addition", "boltzmann_multiplication", "linear"] = "majority"
     temperature: Annotated[float, Field(gt=0.0)] = 0.1
     member_temperature: Annotated[float, Field(gt=0.0)] = 0.1
+    weight_learning_rate: Annotated[float, Field(ge=0.0, le=1.0)] = 0.01
+    discount: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
 
     @property
     def method_code(self) -> int:
@@ -184,6 +196,8 @@ class Voting:
         self.first_action = int(action_space.start)
         self.num_actions = int(action_space.n)
         self.stream = stream_of_seed(seed)
+        self.weights = np.full(len(self.members), 1 / len(self.members))
+        """``float64[members]``, of the linear combination."""
 
     def act(self, observation: Any) -> tuple[int, NDArray[np.float64]]:
         """An action, and the probabilities of all, given the votes."""
@@ -196,7 +210,9 @@ class Voting:
         return self._preferences(observation, draws=False)
 
     def learn(self, transition: Transition) -> None:
-        """Every member learns."""
+        """Every member learns, and the weights of a linear combination before them."""
+        if self.options.method == LINEAR:
+            self._learn_weights(transition)
         for learner, view in self.members:
             mu = cast("NDArray[np.float64] | None", transition.probability)
             learner.learn(
@@ -214,6 +230,9 @@ class Voting:
 
     def freeze(self) -> None:
         """Every member acts on what it knows today."""
+        if self.options.method == LINEAR:
+            message = "found a linear combination, expected a vote without weights that go on learning"
+            raise TypeError(message)
         for learner, _ in self.members:
             if not isinstance(learner, Freezable):
                 message = f"found the member {type(learner).__name__}, expected learners that can be frozen"
@@ -221,29 +240,51 @@ class Voting:
             learner.freeze()
 
     def state(self) -> State:
-        """The members' states and the stream."""
-        return {"members": [learner.state() for learner, _ in self.members], "stream": self.stream.copy()}
+        """The members' states and the stream, and the weights of a linear combination."""
+        weights = {"weights": self.weights.copy()} if self.options.method == LINEAR else {}
+        return {"members": [learner.state() for learner, _ in self.members], "stream": self.stream.copy(), **weights}
 
     def restore(self, state: State) -> None:
         """Go back to what `state` returned."""
         for (learner, _), stored in zip(self.members, state["members"], strict=True):
             learner.restore(stored)
         self.stream = state["stream"].copy()
+        if self.options.method == LINEAR:
+            self.weights = state["weights"].copy()
 
     def begin_from(self, state: State) -> None:
         """Every member begins with what one of another vote knows, see `apel.learners.starting.Beginner`."""
         for (learner, _), stored in zip(self.members, state["members"], strict=True):
             begin(learner, stored)
+        if self.options.method == LINEAR and "weights" in state:
+            self.weights = state["weights"].copy()
 
-    def _preferences(self, observation: Any, *, draws: bool) -> NDArray[np.float64]:
+    def _learn_weights(self, transition: Transition) -> None:
+        """See the top of this module."""
+        options, taken = self.options, transition.action - self.first_action
+        values = self._opinions(transition.observation)[:, taken]
+        size = float(values @ values)
+        if size == 0.0:
+            return
+        target = transition.reward
+        if not transition.terminated:
+            target += options.discount * float(np.max(self.weights @ self._opinions(transition.next_observation)))
+        error = target - float(self.weights @ values)
+        self.weights = self.weights + options.weight_learning_rate * error * values / size
+
+    def _opinions(self, observation: Any) -> NDArray[np.float64]:
+        """``float64[members, actions]``."""
         members = [(cast("HasActionValues", learner), view) for learner, view in self.members]
         count = self.num_actions
-        opinions = [
-            action_values_of(learner.action_values(_own(view(observation))), count) for learner, view in members
-        ]
-        values = np.stack(opinions)
+        return np.stack(
+            [action_values_of(learner.action_values(_own(view(observation))), count) for learner, view in members]
+        )
+
+    def _preferences(self, observation: Any, *, draws: bool) -> NDArray[np.float64]:
+        values, options = self._opinions(observation), self.options
+        if options.method == LINEAR:
+            return np.asarray(self.weights @ values)
         preference = np.empty(self.num_actions)
-        options = self.options
         preferences(values, options.method_code, options.member_temperature, self.stream, draws, preference)
         return preference
 

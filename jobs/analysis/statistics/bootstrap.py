@@ -1,17 +1,20 @@
 """Bootstrap over runs: what a statistic would have been, had the hundred runs been another hundred.
 
 The unit that is resampled is the run. All columns of a run (points of its curve, arms that played its maze) are drawn
-together, so that a curve stays a curve and a pair a pair. Intervals are percentile intervals at 95 %.
+together, so that a curve stays a curve and a pair a pair. Intervals are *expanded* percentile intervals at 95 %, which
+hold what they are to hold also of a few runs (`apel.numerics.intervals`; docs/statistics.md has how often).
 
 The drawing is :func:`scipy.stats.bootstrap`'s, in batches that fit the cache, with statistics that take many resamples
 at once. Every call has a generator of its own: the same values and seed give the same interval.
 
 Source: Efron, B. (1979), *Bootstrap methods: another look at the jackknife*, Annals of Statistics 7(1); Agarwal, R.
-et al. (2021), *Deep reinforcement learning at the edge of the statistical precipice*, NeurIPS.
+et al. (2021), *Deep reinforcement learning at the edge of the statistical precipice*, NeurIPS; Hesterberg, T. C.
+(2015), *What teachers should know about the bootstrap*, The American Statistician 69(4).
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -19,8 +22,9 @@ import numpy as np
 import scipy  # whose `stats`, a second's work to import, it imports itself where it is first used
 from numpy.typing import NDArray
 
+from apel.numerics.intervals import expanded_levels
+
 NUM_RESAMPLES = 10_000
-CONFIDENCE = 0.95
 # Numbers per batch of resamples: 1.6 MB stay in the cache; 10 000 resamples of a curve at once would take 800 MB.
 _BATCH_NUMBERS = 200_000
 
@@ -117,14 +121,19 @@ def bootstrap_of_runs(
     Estimate(value=10.0, low=10.0, high=10.0)
     """
     require_finite(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        # What is not finite is told of below.
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
         value = float(statistic(values))
         if len(values) < 2:
-            return _estimate(value, np.full(1, value))
+            return _estimate(value, value, value)
         # The runs' numbers are resampled in place of their rows, so that any statistic sees whole rows.
         numbers, of_numbers = np.arange(len(values)), _of_numbers(values, statistic)
         resampled = _bootstrap(numbers, of_numbers, values.size, num_resamples, seed)
-    return _estimate(value, resampled.bootstrap_distribution)
+    if num_bad := int(np.sum(~np.isfinite(resampled.bootstrap_distribution))):
+        msg = f"found {num_bad} resamples of {num_resamples} whose statistic is not finite, expected none"
+        raise ValueError(msg)
+    return _estimate(value, *resampled.confidence_interval)
 
 
 def bootstrap_of_means(
@@ -186,18 +195,16 @@ def _of_numbers(values: Floats, statistic: Callable[[Floats], Floats]) -> Callab
     return of_numbers
 
 
-def _estimate(value: float, drawn: Floats) -> Estimate[float]:
+def _estimate(value: float, low: float, high: float) -> Estimate[float]:
     if not np.isfinite(value):
         msg = f"found a statistic of {value} of the values, expected a finite number"
         raise ValueError(msg)
-    if num_bad := int(np.sum(~np.isfinite(drawn))):
-        msg = f"found {num_bad} resamples of {len(drawn)} whose statistic is not finite, expected none"
-        raise ValueError(msg)
-    low, high = np.quantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Estimate(value, float(low), float(high))
 
 
 def _bootstrap(sample: Any, statistic: Any, numbers_per_resample: int, num_resamples: int, seed: int) -> Any:
+    """By scipy, of ``[…, runs]``."""
+    low, high = expanded_levels(sample.shape[-1])
     return scipy.stats.bootstrap(
         (sample,),
         statistic,
@@ -205,7 +212,7 @@ def _bootstrap(sample: Any, statistic: Any, numbers_per_resample: int, num_resam
         vectorized=True,
         n_resamples=num_resamples,
         batch=max(1, _BATCH_NUMBERS // numbers_per_resample),
-        confidence_level=CONFIDENCE,
+        confidence_level=high - low,
         method="percentile",
         rng=np.random.default_rng(seed),
     )

@@ -15,8 +15,8 @@ import pyarrow as pa
 import scipy
 from numpy.typing import NDArray
 
+from apel.numerics.intervals import expanded_levels
 from jobs.analysis.statistics.bootstrap import (
-    CONFIDENCE,
     NUM_RESAMPLES,
     Estimate,
     Floats,
@@ -102,13 +102,14 @@ def probability_of_improvement(
     value = float(statistic(first, second))
     if min(len(first), len(second)) < 2:
         return Estimate(value, value, value)
+    lowest, highest = expanded_levels(min(len(first), len(second)))
     interval = scipy.stats.bootstrap(
         (first, second),
         statistic,
         vectorized=True,
         n_resamples=num_resamples,
         batch=max(1, _BATCH_COMPARISONS // (len(first) * len(second))),
-        confidence_level=CONFIDENCE,
+        confidence_level=highest - lowest,
         method="percentile",
         rng=np.random.default_rng(seed),
     ).confidence_interval

@@ -16,7 +16,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from jobs.analysis.statistics.bootstrap import CONFIDENCE, Estimate, Floats, require_finite
+from apel.numerics.intervals import CONFIDENCE
+from jobs.analysis.statistics.bootstrap import Estimate, Floats, require_finite
 
 # Products of (at risk − solved) / at risk miss one half by rounding.
 _ROUNDING = 1e-12

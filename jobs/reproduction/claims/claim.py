@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from jobs.experiment.figures import SwitchRoles
 from jobs.reproduction.claims import statistics as claim_statistics
-from jobs.reproduction.claims.selection import Selection
+from jobs.reproduction.claims.selection import Given, Selection
 from jobs.reproduction.claims.theories import THEORIES
 
 _NUM_ARMS = {"mean": 1, "deviation": 1, "share": 1, "difference": 2, "ratio": 2, "deviation_ratio": 2}
@@ -70,6 +70,8 @@ class Statistic(_Model):
     for the last tenth."""
     switch: SwitchRoles | None = None
     """Of a switch delay: which arm's learner is better early, and which late."""
+    given: Given | None = None
+    """Only the runs in which another arm met the criterion, or did not."""
 
     @property
     def windows(self) -> list[tuple[int, int]]:
@@ -83,7 +85,7 @@ class Statistic(_Model):
         """The rows it is computed of."""
         return Selection(
             self.metric, self.arms, self.where, self.axis, self.values, self.pool, self.learner, self.windows,
-            self.parts, self.switch,
+            self.parts, self.switch, self.given,
         )  # fmt: skip
 
     @model_validator(mode="after")
@@ -115,6 +117,10 @@ class Statistic(_Model):
             ),
             ((self.learner is not None) != (self.metric in _PER_LEARNER), "learner: expected for lists by learner"),
             (has_axis == (self.over == "only") and self.of != "share", "over: expected with an axis, and only then"),
+            (
+                self.over == "excess" and len(self.values or []) < 2,
+                "values: expected for excess, the first of them against each of the others",
+            ),
             (self.axis is not None and len(windows) > 1, "axis: found with several windows, expected one of them"),
             (
                 edges != sorted(edges) or is_between,
@@ -140,6 +146,7 @@ class Statistic(_Model):
             f"{self.switch.early} to {self.switch.late}" if self.switch else "",
             f"{self.over} over {axis}{places}" if self.over != "only" else "",
             ", ".join(f"{column} = {value}" for column, value in self.where.items()),
+            f"where {self.given.arm} {'meets the cap' if self.given.censored else 'gets there'}" if self.given else "",
         ]
         return "; ".join(part for part in parts if part)
 

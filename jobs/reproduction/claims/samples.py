@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from jobs.experiment.figures import check_roles
 from jobs.experiment.spec import Experiment
 from jobs.reproduction.claims.episode_metrics import of_episodes
-from jobs.reproduction.claims.selection import MissingError, Selection, UnknownNameError
+from jobs.reproduction.claims.selection import Given, MissingError, Selection, UnknownNameError
 from jobs.reproduction.claims.statistics import Sample
 from jobs.results.hindsight import with_hindsight
 from jobs.results.store import ResultStore
@@ -78,8 +78,9 @@ class Results:
         if not selection.is_of_runs:
             frame = self._with_episodes(frame, selection)
         for column, value in selection.where.items():
-            if column in frame:
-                frame = frame[(frame[column] == value) | frame[column].isna()]
+            frame = _where(frame, column, value)
+        if selection.given:
+            frame = frame[frame["run_index"].isin(self._runs_given(selection.given, selection.where))]
         if selection.metric not in frame:
             raise MissingError(_missing(self, f"no {selection.metric}"))
         points = _points(self, frame, axis, selection)
@@ -97,11 +98,23 @@ class Results:
         known = {*self.runs.columns, *experiment.sweep, *experiment.variables}
         columns = [*selection.where, *selection.pool, *([selection.axis] if selection.axis else [])]
         columns += [selection.metric] if selection.is_of_runs else []
-        for kind, names, expected in (("arm", selection.arms, arms), ("column", columns, sorted(known))):
+        named = [*selection.arms, *([selection.given.arm] if selection.given else [])]
+        for kind, names, expected in (("arm", named, arms), ("column", columns, sorted(known))):
             for name in names:
                 if name not in expected:
                     message = f"found {kind} {name!r}, expected some of {', '.join(expected)} of {experiment.name}"
                     raise UnknownNameError(message)
+
+    def _runs_given(self, given: Given, where: Mapping[str, Any]) -> list[int]:
+        """Indices of the runs in which an arm was censored, or was not."""
+        rows = self.runs[self.runs["arm"] == given.arm]
+        for column, value in where.items():
+            rows = _where(rows, column, value)
+        if rows["run_index"].duplicated().any():
+            message = f"given: found several rows of a run of {given.arm}, expected one: name a value in where"
+            raise UnknownNameError(message)
+        found: list[int] = rows.loc[(rows["censored"] == True) == given.censored, "run_index"].tolist()  # noqa: E712
+        return found
 
     def _column(self, rows: Any, arm: str, axis: str | None, point: Any, selection: Selection) -> Any:
         """One arm at one point: value and censoring by run."""
@@ -155,6 +168,11 @@ class Results:
             raise MissingError(_missing(self, str(error))) from error
         own = [name for name in frame.columns if name in found.columns and name not in ("arm", "sweep", "run_index")]
         return frame.drop(columns=own).merge(found, on=["arm", "sweep", "run_index"])
+
+
+def _where(frame: Any, column: str, value: Any) -> Any:
+    """Rows with a value of a column, and those without any."""
+    return frame[(frame[column] == value) | frame[column].isna()] if column in frame else frame
 
 
 def _points(results: Results, frame: Any, axis: str | None, selection: Selection) -> Sequence[Any]:

@@ -21,8 +21,24 @@ class UnknownNameError(Exception):
 
 
 @dataclass(frozen=True)
+class Given:
+    """Only runs in which another arm met the criterion, or did not.
+
+    Attributes
+    ----------
+    arm:
+        Which other one; it has one row per run where the selection's ``where`` holds.
+    censored:
+        Whether it met the cap instead.
+    """
+
+    arm: str
+    censored: bool
+
+
+@dataclass(frozen=True)
 class Selection:
-    """Which rows, side by side: see `jobs.reproduction.claims.models.Statistic` for the fields."""
+    """Which rows, side by side: see `jobs.reproduction.claims.claim.Statistic` for the fields."""
 
     metric: str
     arms: Sequence[str]
@@ -34,6 +50,7 @@ class Selection:
     windows: Sequence[tuple[int, int]] = ()
     parts: Sequence[tuple[float, float]] = ()
     switch: SwitchRoles | None = None
+    given: Given | None = None
 
     @property
     def implied_axis(self) -> str | None:

@@ -7,15 +7,15 @@ matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from jobs.analysis.statistics.bootstrap import CONFIDENCE, NUM_RESAMPLES, Estimate, Floats
+from jobs.analysis.statistics.bootstrap import NUM_RESAMPLES, Floats
+from jobs.reproduction.claims.resampled import Resampled
 from jobs.reproduction.claims.theories import THEORIES, Setting
 
 _SEED = 0
@@ -102,48 +102,34 @@ SUMMARIES: dict[str, Callable[[Floats, Floats], Floats]] = {
     "slope": _slope,
     "relative_change": _relative_change,
     "linearity": _linearity,
+    "excess": lambda values, _: values[..., :1] - values[..., 1:],
 }
-"""From values ``[…, points]`` and the axis to ``[…]``; rise and growth are of the last point over the first."""
+"""From values ``[…, points]`` and the axis to ``[…]``; rise and growth are of the last point over the first. The excess
+is that of the first point over each of the others, ``[…, comparisons]``, of which the largest counts."""
 
 
-def resampled(sample: Sample, statistic: Callable[[Moments], Floats], *, median: bool = False) -> Estimate[float]:
-    """A statistic of the arms' and points' moments, with its 95 % interval.
-
-    Where a resample has no finite value (a ratio to a spread of nothing), the interval is everything.
-    """
+def resampled(sample: Sample, statistic: Callable[[Moments], Floats], *, median: bool = False) -> Resampled:
+    """A statistic of the arms' and points' moments: ``float64[…]``, or ``float64[…, comparisons]``."""
+    num_runs = len(sample.values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = float(statistic(_moments(sample.values, np.ones((1, len(sample.values))), median=median))[0])
-        drawn = statistic(_moments(sample.values, _counts(len(sample.values)), median=median))
-    if not np.isfinite(drawn).all():
-        return Estimate(value, -np.inf, np.inf)
-    low, high = np.quantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(value, float(low), float(high))
+        value = float(np.max(statistic(_moments(sample.values, np.ones((1, num_runs)), median=median))))
+        drawn = statistic(_moments(sample.values, _counts(num_runs), median=median))
+    return Resampled(value, drawn.reshape(NUM_RESAMPLES, -1), num_runs)
 
 
-def measured(sample: Sample, quantity: str, over: str, *, median: bool = False) -> Estimate[float]:
+def measured(sample: Sample, quantity: str, over: str, *, median: bool = False) -> Resampled:
     """One of `QUANTITIES` at each point, in one of `SUMMARIES`."""
     of, summary = QUANTITIES[quantity], SUMMARIES[over]
     return resampled(sample, lambda moments: summary(of(moments), sample.axis), median=median)
 
 
-def against_theory(sample: Sample, quantity: str, over: str, theory: str, setting: Setting) -> Estimate[float]:
+def against_theory(sample: Sample, quantity: str, over: str, theory: str, setting: Setting) -> Resampled:
     """The first arm's mean against one of `THEORIES` at each point, in one of `SUMMARIES`."""
     compare, predict, summary = AGAINST_THEORY[quantity], THEORIES[theory], SUMMARIES[over]
     return resampled(
         sample,
         lambda m: summary(compare(m.location[..., 0, :], predict(setting, m.location)), sample.axis),
     )
-
-
-def share(meets: Sequence[bool] | NDArray[np.bool_]) -> Estimate[float]:
-    """Share of runs, with the exact binomial interval (Clopper & Pearson 1934).
-
-    >>> round(share([True] * 100).low, 3)
-    0.964
-    """
-    count, total = int(np.sum(meets)), len(meets)
-    interval = scipy.stats.binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
-    return Estimate(count / total, float(interval.low), float(interval.high))
 
 
 @lru_cache(maxsize=4)

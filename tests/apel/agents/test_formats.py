@@ -29,6 +29,7 @@ NETWORKS: dict[str, tuple[Any, spaces.Space[Any], dict[str, Any]]] = {
     "linear": (Dqn, VECTOR, {"network": {"hidden": []}, "dueling": False, "head_hidden": []}),
     "acer": (Acer, VECTOR, {"network": {"hidden": [6]}}),
     "sac": (DiscreteSac, VECTOR, {"network": {"hidden": [6]}}),
+    "normalised": (Dqn, VECTOR, {"network": {"hidden": [6, 5], "layer_norm": True}, "head_hidden": [4]}),
     "images": (Dqn, IMAGE, {"network": FILTERS}),
     "padded": (Dqn, IMAGE, {"network": {**FILTERS, "padding": "same"}, "dueling": False}),
     "turned": (Dqn, TURNED, {"network": {**FILTERS, "layout": "channels_last"}}),

@@ -148,6 +148,9 @@ def test_impossible_optimal_length_says_what_was_found() -> None:
         ("distractors", "10"),
         ("max_steps", 0),
         ("max_draws", 0),
+        ("reward_scale", 0),
+        ("reward_scale", -1.0),
+        ("reward_scale", float("nan")),
         ("optimal_length", (35, 33)),
         ("optimal_length", (33, 34, 35)),
         ("optimal_length", (33.0, 35.0)),
@@ -160,6 +163,13 @@ def test_maze_refuses_options_that_make_no_sense(option: str, value: Any) -> Non
 
 
 # The maze: its dynamics
+
+
+def test_scale_multiplies_rewards_alone() -> None:
+    """−0.1 and +1 become −10 and +100; nothing else changes."""
+    plain, scaled = Maze(maze_seed=3).finite_model, Maze(maze_seed=3, reward_scale=100).finite_model
+    np.testing.assert_array_equal(scaled.reward, 100 * plain.reward)
+    np.testing.assert_array_equal(scaled.next_cell, plain.next_cell)
 
 
 def test_moves_follow_passages_and_walls_stay() -> None:

@@ -18,12 +18,6 @@ from tests.snippets import Snippets, snippets  # noqa: E402
 settle()  # to ask pins the mode of this process, in which other tests multiply
 pytestmark = pytest.mark.skipif(is_reproducible() is None, reason="this PyTorch has no MKL that can be asked")
 
-MAKE = """
-from gymnasium import spaces
-from apel.learners.deep.dqn import Dqn
-network = {"convolutions": [[2, 3, 1]], "hidden": []}
-Dqn(spaces.Box(-1, 1, (1, 4, 4)), spaces.Discrete(2), 1, network=network)
-"""
 MULTIPLY = """
 import torch
 torch.ones(64, 64) @ torch.ones(64, 64)
@@ -44,7 +38,7 @@ LearnerHost().prepare(Shard(arm, (run,)), 0, Execution(), None)
 """
 SMALL = {"algorithm": "stable_baselines3:DQN", "buffer_size": 10}
 DEEP = PLAY.format(environment="CartPole-v1", learner="stable_baselines", options=SMALL)
-PERCEPTRON = PLAY.format(environment="CartPole-v1", learner="dqn", options={"network": {"hidden": [8]}})
+COMPILED = PLAY.format(environment="CartPole-v1", learner="dqn", options={"network": {"hidden": [8]}})
 TABULAR = PLAY.format(environment="FrozenLake-v1", learner="q_learning", options={})
 ASK = """
 import os
@@ -87,16 +81,15 @@ def test_import_leaves_the_environment_alone() -> None:
     assert (done.stdout.strip(), done.stderr) == ("True False", "")
 
 
-@pytest.mark.parametrize("make", [MAKE, WRAP, DEEP])
+@pytest.mark.parametrize("make", [WRAP, DEEP])
 def test_learners_settle_it(run: Run, make: str) -> None:
     """Whatever makes a learner that multiplies has the mode set, and in effect; that PyTorch is loaded does no harm."""
     assert run("import torch\n" + make + ASK) == ("AUTO,STRICT True", "")
 
 
-@pytest.mark.parametrize("make", [MAKE, WRAP])
-def test_too_late(run: Run, make: str) -> None:
+def test_too_late(run: Run) -> None:
     """Where PyTorch has multiplied before, making a learner warns: what is wrong, and what to do."""
-    found, complaint = run(MULTIPLY + make + make + ASK)
+    found, complaint = run(MULTIPLY + WRAP + WRAP + ASK)
     assert found == "AUTO,STRICT False"
     assert "RoundingWarning: found that this process multiplied with PyTorch before" in complaint
     assert "start this process (in a notebook: the kernel) anew with MKL_CBWR=AUTO,STRICT" in complaint
@@ -107,15 +100,15 @@ def test_job_is_refused_where_it_is_too_late(run: Run) -> None:
     _, complaint = run(MULTIPLY + DEEP)
     assert "RoundingError: found that this process multiplied" in complaint
     assert "placement in processes of its own: actors or packed" in complaint
-    for other in (TABULAR, PERCEPTRON):
+    for other in (TABULAR, COMPILED):
         assert run(MULTIPLY + other + "print('made')") == ("made", "")
 
 
 def test_who_multiplied_in_that_mode_is_in_time(run: Run) -> None:
     """With the variable set from outside, products before the first learner do no harm."""
-    assert run(MULTIPLY + MAKE + ASK, MKL_CBWR="AUTO,STRICT") == ("AUTO,STRICT True", "")
+    assert run(MULTIPLY + WRAP + ASK, MKL_CBWR="AUTO,STRICT") == ("AUTO,STRICT True", "")
 
 
 def test_mode_of_the_user_stays(run: Run) -> None:
     """Who has asked for another mode keeps it, and hears nothing."""
-    assert run(MULTIPLY + MAKE + ASK, MKL_CBWR="COMPATIBLE") == ("COMPATIBLE True", "")
+    assert run(MULTIPLY + WRAP + ASK, MKL_CBWR="COMPATIBLE") == ("COMPATIBLE True", "")

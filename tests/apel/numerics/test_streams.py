@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from apel.numerics.streams import (
     categorical,
@@ -16,6 +17,7 @@ from apel.numerics.streams import (
     mix_gamma,
     next_uint64,
     normal,
+    poisson,
     standard_gamma,
     stream_of_seed,
     uniform,
@@ -196,3 +198,11 @@ def test_stream_of_seed_agrees_with_unbounded_integers(seed: int) -> None:
     oracle = splitmix.SplitMix64.of_seed(seed)
     assert stream_of_seed(seed).tolist() == [oracle.state, oracle.gamma]
     assert oracle.gamma % 2 == 1
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.5, 4.0, 100.0])
+def test_poisson(mean: float) -> None:
+    """Draws are scipy's quantiles of the same uniform numbers, so that nothing is left to chance."""
+    stream, same = stream_of_seed(6), stream_of_seed(6)
+    expected = [stats.poisson(mean).ppf(uniform(same)) for _ in range(2000)]
+    assert [poisson(stream, mean) for _ in range(2000)] == expected

@@ -75,6 +75,7 @@ IDENTITIES = {
     "majority-voting": "2826b9c1854a",
     "model-based": "667cb296f190",
     "redundant-learners": "a9e773c56163",
+    "reward-scale": "b94e42fca87c",
     "selection-behaviour": "0c66a7ef397a",
     "sensitivity-adaptation-time": "23ce4507382f",
     "sensitivity-train-time": "28bdba42ee62",

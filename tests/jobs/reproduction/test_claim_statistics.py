@@ -7,8 +7,9 @@ import pytest
 
 from jobs.analysis.statistics.bootstrap import bootstrap_interval
 from jobs.experiment.spec_files import load_experiment
+from jobs.reproduction.claims.resampled import CountedShare
 from jobs.reproduction.claims.selection import Selection, UnknownNameError
-from jobs.reproduction.claims.statistics import SUMMARIES, Sample, against_theory, measured, share
+from jobs.reproduction.claims.statistics import SUMMARIES, Sample, against_theory, measured
 from jobs.reproduction.claims.theories import Setting, setting_of
 
 
@@ -38,7 +39,7 @@ def test_quantities(quantity: str, expected: float) -> None:
 def test_median() -> None:
     """The runs are ordered alike in both arms, so the median of a resample is one of them: 1 − 0, 2 − 5 or 90 − 7."""
     found = measured(sample([[1.0], [2.0], [90.0]], [[0.0], [5.0], [7.0]]), "difference", "only", median=True)
-    assert found == (-3, -3, 83)
+    assert found.estimate == (-3, -3, 83)
 
 
 @pytest.mark.parametrize(
@@ -62,25 +63,25 @@ def test_median() -> None:
 )
 def test_summaries(over: str, values: list[float], expected: float) -> None:
     assert float(SUMMARIES[over](np.array(values), np.array([0.0, 1.0, 2.0]))) == pytest.approx(expected)
-    assert measured(sample([values, values]), "mean", over) == pytest.approx((expected, expected, expected))
+    assert measured(sample([values, values]), "mean", over).estimate == pytest.approx((expected, expected, expected))
 
 
 def test_pairs_are_resampled_as_pairs() -> None:
     """The second is one episode slower in every run, however much runs differ."""
     first = np.random.default_rng(1).exponential(1000, 50).round()[:, None]
     found = measured(sample(first.tolist(), (first + 1).tolist()), "difference", "only")
-    assert found == pytest.approx((-1, -1, -1))
+    assert found.estimate == pytest.approx((-1, -1, -1))
 
 
 def test_interval_is_that_of_the_usual_bootstrap() -> None:
     """Counts of runs are another way of drawing the same resamples; two drawings differ by a little."""
     values = np.random.default_rng(2).exponential(100, 100)
     found = measured(sample(values[:, None].tolist()), "mean", "only")
-    assert found[1:] == pytest.approx(bootstrap_interval(values), abs=0.8)
+    assert found.estimate[1:] == pytest.approx(bootstrap_interval(values), abs=0.8)
 
 
 def test_a_ratio_to_nothing_says_nothing() -> None:
-    found = measured(sample([[1.0], [2.0]], [[3.0], [3.0 + 1e-9]]), "deviation_ratio", "only")
+    found = measured(sample([[1.0], [2.0]], [[3.0], [3.0 + 1e-9]]), "deviation_ratio", "only").estimate
     assert (found.low, found.high) == (-np.inf, np.inf)
 
 
@@ -156,5 +157,5 @@ def test_measured_adaptation_time_needs_lengths() -> None:
 
 def test_share() -> None:
     """All of 100: the lower end is 0.025^(1/100); 1 of 2: where the tails are 0.025, 1 − √0.975 and √0.975."""
-    assert share([True] * 100) == pytest.approx((1, 0.025 ** (1 / 100), 1))
-    assert share([True, False]) == pytest.approx((0.5, 1 - 0.975**0.5, 0.975**0.5))
+    assert CountedShare([True] * 100).estimate == pytest.approx((1, 0.025 ** (1 / 100), 1))
+    assert CountedShare([True, False]).estimate == pytest.approx((0.5, 1 - 0.975**0.5, 0.975**0.5))

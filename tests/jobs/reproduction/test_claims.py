@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
+from scipy import stats
 from typer.testing import CliRunner
 
 from jobs.analysis.statistics.bootstrap import Estimate
@@ -23,7 +27,14 @@ from jobs.reproduction.claims import claim_files
 from jobs.reproduction.claims.claim import Claim
 from jobs.reproduction.claims.claim_files import judged_experiments, read_claims, shipped_claims
 from jobs.reproduction.claims.judging import Verdict, evaluate, rule
-from jobs.reproduction.claims.ledger import claims_markdown, claims_table, count_line, source_lines
+from jobs.reproduction.claims.ledger import (
+    claims_markdown,
+    claims_table,
+    corrected_count_line,
+    count_line,
+    source_lines,
+    verdict_table,
+)
 from jobs.reproduction.claims.stored_results import found_stores
 from jobs.reproduction.claims.theories import setting_of
 from jobs.results.store import ResultStore, StoreError
@@ -110,8 +121,52 @@ def test_a_verdict(tmp_path: Path) -> None:
     (row,) = claims_table([verdict]).to_pylist()
     assert (row["verdict"], row["value"], row["threshold_low"], row["threshold_high"]) == ("holds", -5, None, 0)
     page = claims_markdown([verdict])
-    assert "1 claims: 1 holds, 0 fails, 0 undecided, 0 missing." in page
+    assert "1 claims: 1 holds, 0 fails, 0 undecided, 0 missing. After Holm's correction over the 1 " in page
     assert "| APEL is faster \\| than SSBAS. |" in page
+
+
+def test_verdicts_after_correction(tmp_path: Path) -> None:
+    """Of 20 differences with the mean −1 those of the first vary by s = 2.1 (t = 2.13), of the second by a tenth of it.
+
+    The smaller p counts twice, the other once. That a share of the runs is none is certain, or not, and is no test.
+    """
+    spread = np.linspace(-1, 1, 20) / np.linspace(-1, 1, 20).std(ddof=1)
+    rows = {key: values * 2 for key, values in two_arms().items()}
+    rows["arm"] = [arm for arm in ("APEL", "SSBAS", "Q_red", "Q_full") for _ in range(20)]
+    rows["train_time"] = [*(99 + 2.1 * spread), *[100.0] * 20, *(99 + 0.21 * spread), *[100.0] * 20]
+    certain = claim(id="two", statistic=DIFFERENCE | {"arms": ["Q_red", "Q_full"]})
+    none = claim(id="three", statistic=SHARE, direction="none", threshold=None)
+    verdicts = judge([claim(), certain, none], [stored(tmp_path, "distractor-maze", rows)])
+    assert [verdict.ruling for verdict in verdicts] == ["holds", "holds", "holds"]
+    first, second, third = verdicts
+    assert first.p_value == pytest.approx(2 * stats.t.sf(20**0.5 / 2.1, 19), rel=0.2)
+    assert first.corrected_p_value == first.p_value
+    assert second.p_value is not None
+    assert second.corrected_p_value == 2 * second.p_value < 1e-4
+    assert (third.p_value, third.corrected_p_value) == (None, None)
+
+
+def test_what_is_doubtful_has_a_star() -> None:
+    """And is counted as undecided after the correction."""
+    verdicts = [
+        Verdict(claim(), "fails", Estimate(1.0, 0.5, 1.5), 100, p_value=0.03, corrected_p_value=0.06),
+        Verdict(claim(id="two"), "holds", Estimate(-1.0, -1.5, -0.5), 100, p_value=1e-9, corrected_p_value=2e-9),
+        Verdict(claim(id="three"), "missing"),
+    ]
+    assert count_line(verdicts) == "3 claims: 1 holds, 1 fails, 0 undecided, 1 missing"
+    assert corrected_count_line(verdicts).endswith(
+        "the 2 that an interval decides: 1 holds, 0 fails, 1 undecided, 1 missing"
+    )
+    assert claims_table(verdicts)["corrected_verdict"].to_pylist() == ["undecided", "holds", "missing"]
+    shown = io.StringIO()
+    Console(file=shown, width=200).print(verdict_table(verdicts))
+    assert [line.split()[:6] for line in shown.getvalue().splitlines()[3:5]] == [
+        ["one", "1", "0.5", "to", "1.5", "<"],
+        ["two", "-1", "-1.5", "to", "-0.5", "<"],
+    ]
+    assert "fails* 0.06" in re.sub(" +", " ", shown.getvalue())
+    assert "holds < 0.0001" in re.sub(" +", " ", shown.getvalue())
+    assert "| fails | 0.06 | undecided | open |" in claims_markdown(verdicts)
 
 
 def test_shares(tmp_path: Path) -> None:
@@ -147,6 +202,32 @@ def test_points_and_pools(tmp_path: Path) -> None:
     ambiguous = claim(experiment="adaptation-time", statistic={**against, "where": {}})
     with pytest.raises(SpecError, match="claim one: found several rows of a run of SSBAS"):
         judge([ambiguous], [store])
+
+
+def test_runs_in_which_another_arm_gets_there(tmp_path: Path) -> None:
+    """Q_red meets the cap in the last two runs of four: APEL takes 1 and 2 episodes in the others, 3 and 4 there."""
+    rows = {
+        "arm": ["APEL"] * 4 + ["Q_red"] * 4,
+        "sweep": [""] * 8,
+        "run_index": [*range(4)] * 2,
+        "train_time": [1.0, 2.0, 3.0, 4.0, 2.0, 4.0, 5000.0, 5000.0],
+        "censored": [False] * 6 + [True] * 2,
+    }
+    store = stored(tmp_path, "distractor-maze", rows)
+    alone = {"of": "mean", "metric": "train_time", "arms": ["APEL"]}
+    claims = [claim(statistic=alone | {"given": {"arm": "Q_red", "censored": censored}}) for censored in (False, True)]
+    able, unable = judge(claims, [store])
+    assert able.estimate
+    assert unable.estimate
+    assert (able.num_runs, able.estimate.value, unable.num_runs, unable.estimate.value) == (2, 1.5, 2, 3.5)
+    assert [str(one.statistic) for one in claims] == [
+        "mean of train_time: APEL; where Q_red gets there",
+        "mean of train_time: APEL; where Q_red meets the cap",
+    ]
+    never = claim(statistic=alone | {"given": {"arm": "APEL", "censored": True}})
+    assert judge([never], [store])[0].ruling == "missing"
+    with pytest.raises(SpecError, match="claim one: found arm 'red', expected some of"):
+        judge([claim(statistic=alone | {"given": {"arm": "red", "censored": True}})], [store])
 
 
 def test_recorded_episodes(tmp_path: Path) -> None:
@@ -205,6 +286,11 @@ def test_misnamed(tmp_path: Path, statistic: dict[str, Any], message: str) -> No
         ("direction: above", "direction: over", r"mine.yaml:7: direction"),
         ("threshold: 1", "treshold: 1", r"mine.yaml:8: treshold"),
         ("metric: train_time", "metric: train_time, over: slope", r"over: expected with an axis"),
+        (
+            "metric: train_time",
+            "metric: train_time, axis: n, over: excess",
+            "values: expected for excess, the first of them",
+        ),
         (
             "direction:",
             "experiment: steady-state\n    direction:",
@@ -376,7 +462,8 @@ def test_shipped_claims_name_what_is_shipped() -> None:
     assert len(claims) >= 90
     for one in claims:
         experiment, statistic = experiments[one.experiment], one.statistic
-        assert set(statistic.arms) <= {*experiment.arms, *experiment.hindsight}, one.id
+        given = [statistic.given.arm] if statistic.given else []
+        assert {*statistic.arms, *given} <= {*experiment.arms, *experiment.hindsight}, one.id
         points = [at.point.values for at in Plan.of(experiment).arm_points if at.arm in statistic.arms]
         assert {statistic.axis, *statistic.pool} - {None} <= set().union(*points), one.id
         for axis, value in [*statistic.where.items(), *((statistic.axis, value) for value in statistic.values or [])]:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from scipy import stats
 
 from apel.learners.banks.batched_learner import Transitions
 from apel.learners.deep.acer import BatchedAcer, loss_of
@@ -58,7 +59,10 @@ class PlainAcer:
         self._open = []
         if len(self._closed) > self.options.learning_starts:
             self._update(self._closed[-1:])
-            for _ in range(self.options.replay_ratio):
+            count = self.options.replay_ratio
+            if self.options.replay_count == "poisson":
+                count = int(stats.poisson(count).ppf(self._stream.uniform()))
+            for _ in range(count):
                 # Counted back from the newest.
                 drawn = [self._stream.integer(len(self._closed)) for _ in range(self.options.batch_size)]
                 self._update([self._closed[-1 - age] for age in drawn])
@@ -130,14 +134,20 @@ MINIMAL = acer_options("minimalrl", **{name: getattr(OPTIONS, name) for name in 
 
 @pytest.mark.parametrize(
     "options",
-    [OPTIONS, replace(OPTIONS, max_gradient_norm=None, replay_ratio=0, batch_size=1), MINIMAL],
-    ids=["paper", "newest alone", "minimalrl"],
+    [
+        OPTIONS,
+        replace(OPTIONS, max_gradient_norm=None, replay_ratio=0, batch_size=1),
+        MINIMAL,
+        replace(OPTIONS, replay_count="poisson"),
+    ],
+    ids=["paper", "newest alone", "minimalrl", "Poisson"],
 )
 def test_learning_is_that_of_the_plain_loop(options: AcerOptions) -> None:
     """150 random transitions later the network and its average are the same, to 1e-5.
 
     Where more than ``learning_starts`` segments have been closed, each that is closed brings one update on itself and
-    ``replay_ratio`` on segments from memory; the gradient of all variables together is clipped; the average follows.
+    ``replay_ratio`` on segments from memory, or so many on average; the gradient of all variables together is clipped;
+    the average follows.
     """
     learner = BatchedAcer(SPACE, 3, [9], **as_mapping(options))
     first = learner.state()["online"][0]
@@ -149,7 +159,7 @@ def test_learning_is_that_of_the_plain_loop(options: AcerOptions) -> None:
         plain.learn(step)
     state = learner.state()
     assert plain.updates == state["adam"]["clock"][0]
-    assert plain.updates % (1 + options.replay_ratio) == 0
+    assert (plain.updates % (1 + options.replay_ratio) == 0) == (options.replay_count == "fixed")
     assert np.abs(state["online"][0] - first).max() > 0.03
     np.testing.assert_allclose(state["online"][0], plain.row(plain.variables), atol=1e-5, rtol=0.0)
     if options.trust_region is None:

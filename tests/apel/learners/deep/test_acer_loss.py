@@ -287,6 +287,7 @@ def test_presets_may_be_changed_in_part() -> None:
         ("entropy", -0.1),
         ("critic_loss", "absolute"),
         ("replay_ratio", -1),
+        ("replay_count", "Poisson"),
         ("batch_size", 0),
         ("replay_size", 0),
         ("learning_starts", -1),
@@ -303,6 +304,13 @@ def test_options_out_of_range_are_refused(option: str, value: Any) -> None:
     """Every number has a range, and nothing unknown is taken."""
     with pytest.raises(ValueError, match=option):
         acer_options(**{option: value})
+
+
+def test_poisson_of_a_large_mean_is_refused() -> None:
+    """Its distribution is summed from 0 on."""
+    assert acer_options(replay_count="poisson", replay_ratio=100).replay_ratio == 100
+    with pytest.raises(ValueError, match="replay_ratio: found 101 for poisson, expected at most 100"):
+        acer_options(replay_count="poisson", replay_ratio=101)
 
 
 def test_softmax_of_the_oracle() -> None:

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from apel.learners.banks.batched_learner import BatchedLearner, Transitions
+from apel.learners.deep import deep_learner
 from apel.learners.deep.acer import BatchedAcer
 from apel.learners.deep.deep_learner import BatchedDeepLearner
 from apel.learners.deep.dqn import BatchedDqn
-from apel.learners.deep.networks import Architecture
 from apel.learners.deep.sac import BatchedSac
-from apel.learners.deep.stacked_network import StackedNetwork
 from cluster.checkpoint import pack, unpack
 from tests.apel.learners.deep.driving import NUM_ACTIONS, Tick, assert_same_state, drive, life, part_of_run
 from tests.apel.learners.deep.steps import runs_of, transitions
@@ -61,6 +60,7 @@ LEARNERS: dict[str, tuple[Callable[..., BatchedDeepLearner], dict[str, Any]]] = 
         {**ACER, "trust_region": {"bound": 0.1, "average": 0.9}, "network": {"hidden": [33], "activation": "relu"}},
     ),
     "acer minimalrl": (BatchedAcer, {**ACER, "preset": "minimalrl"}),
+    "acer Poisson": (BatchedAcer, {**ACER, "replay_count": "poisson"}),
     "sac": (BatchedSac, SAC),
 }
 ON_PYTORCH = "on PyTorch: "
@@ -70,7 +70,7 @@ each_compiled_learner = pytest.mark.parametrize("kind", LEARNERS)
 
 def make(kind: str, seeds: list[int] = SEEDS, **options: Any) -> BatchedDeepLearner:
     constructor, given = LEARNERS[kind.removeprefix(ON_PYTORCH)]
-    with patch.object(Architecture, "is_perceptron", new=not kind.startswith(ON_PYTORCH)):
+    with patch.object(deep_learner, "is_compiled_for", new=lambda _: not kind.startswith(ON_PYTORCH)):
         return constructor(SPACE, NUM_ACTIONS, seeds, **{**given, **options})
 
 
@@ -107,11 +107,9 @@ def test_runs_do_not_touch_each_other(kind: str) -> None:
 @each_compiled_learner
 @pytest.mark.parametrize("lanes", [2, 8])
 def test_filled_up_calls_give_the_same(kind: str, lanes: int) -> None:
-    """Where all calls have so many lanes, as on a GPU, nothing else comes out: for more runs than these, and fewer."""
+    """However many lanes all calls have, nothing else comes out: for more runs than these, and fewer."""
     ticks = life(len(SEEDS), 60, freezes=(40, 52))
-    plain, filled = make(ON_PYTORCH + kind), make(ON_PYTORCH + kind)
-    for networks in {id(one): one for one in vars(filled).values() if isinstance(one, StackedNetwork)}.values():
-        networks._rows._lanes = lanes
+    plain, filled = make(ON_PYTORCH + kind, lanes=len(SEEDS)), make(ON_PYTORCH + kind, lanes=lanes)
     assert drive(filled, ticks) == drive(plain, ticks)
     assert_same_state(filled.state(), plain.state())
 

@@ -94,7 +94,8 @@ def test_twins_share_nothing(engine: str) -> None:
     assert (fresh[..., :4] != fresh[..., 4:]).all()
 
 
-def test_convolutions_are_those_of_pytorch() -> None:
+@each_engine
+def test_convolutions_are_those_of_pytorch(engine: str) -> None:
     """Convolutions with ReLU, then dense layers over flattened images."""
     options = NetworkOptions(hidden=(6,), convolutions=((3, 3, 1), (2, 2, 2)))
     # 10 → 8 → 4: 2 · 4 · 4 features.
@@ -102,7 +103,33 @@ def test_convolutions_are_those_of_pytorch() -> None:
     first, second, *dense = modules
     images = [first, nn.ReLU(), second, nn.ReLU(), nn.Flatten()]
     plain = nn.Sequential(*images, dense[0], nn.Tanh(), dense[1])
-    assert_is("stacked", q_network((4, 10, 10), 3, options), modules, plain)
+    assert_is(engine, q_network((4, 10, 10), 3, options), modules, plain)
+
+
+@each_engine
+def test_hidden_layers_are_normalised(engine: str) -> None:
+    """Before their activation, those of a head too, and no output."""
+    architecture = q_network((3,), 4, NetworkOptions(hidden=(8, 17), layer_norm=True), (5,))
+    first, second, hidden, head = modules = [nn.Linear(*size) for size in [(3, 8), (8, 17), (17, 5), (5, 4)]]
+
+    def normal_form(x: Any) -> Any:
+        return nn.functional.layer_norm(x, x.shape[-1:])
+
+    def plain(x: Any) -> Any:
+        x = torch.tanh(normal_form(first(x)))
+        x = torch.tanh(normal_form(second(x)))
+        return head(torch.relu(normal_form(hidden(x))))
+
+    assert_is(engine, architecture, modules, plain)
+
+
+@each_engine
+def test_normalised_by_hand(engine: str) -> None:
+    """(1, 2, 6) has the mean 3 and the variance (4 + 1 + 9) / 3; behind ReLU 3 / √(14 / 3) remains."""
+    options = NetworkOptions(hidden=(3,), activation="relu", layer_norm=True)
+    rows = rows_of(q_network((1,), 3, options), [[[1.0, 2.0, 6.0]], np.zeros(3), np.eye(3), np.zeros(3)])
+    found = ENGINES[engine](q_network((1,), 3, options), rows, np.ones((1, 1, 1), np.float32))
+    np.testing.assert_allclose(found, [[[0.0, 0.0, 3 / math.sqrt(14 / 3)]]], atol=1e-5)
 
 
 def conv(kernel: int, stride: int, size: int, padding: Any = "same") -> Architecture:
@@ -124,15 +151,19 @@ def conv(kernel: int, stride: int, size: int, padding: Any = "same") -> Architec
         (9, 1, 4, 3),
     ],
 )
-def test_sizes_of_same_padding_are_those_of_tensorflow(size: int, kernel: int, stride: int, expected: int) -> None:
+@each_engine
+def test_sizes_of_same_padding_are_those_of_tensorflow(
+    engine: str, size: int, kernel: int, stride: int, expected: int
+) -> None:
     """As many outputs as inputs divided by the stride, rounded up."""
     architecture = conv(kernel, stride, size)
     assert architecture.layers[0].result == (1, expected, expected)  # type: ignore[union-attr]
     rows = Layout(architecture).initial_rows([1])
-    assert stacked(architecture, rows, normal(1, 2, 1, size, size)).shape == (1, 2, 1)
+    assert ENGINES[engine](architecture, rows, normal(1, 2, 1, size, size)).shape == (1, 2, 1)
 
 
-def test_same_padding_is_asymmetric() -> None:
+@each_engine
+def test_same_padding_is_asymmetric(engine: str) -> None:
     """Of an odd margin the larger half comes after the image, as in TensorFlow.
 
     The numbers 1 … 16 in a square, a 3 × 3 filter of ones with stride 2: 2 · 1 + 3 − 4 = 1 row of zeros, below. The
@@ -144,16 +175,18 @@ def test_same_padding_is_asymmetric() -> None:
         head = np.zeros((4, 1))
         head[place] = 1.0
         rows = rows_of(architecture, [np.ones((1, 1, 3, 3)), [0.0], head, [0.0]])
-        assert stacked(architecture, rows, image).item() == expected
+        assert ENGINES[engine](architecture, rows, image).item() == expected
 
 
-def test_channels_that_come_last_are_turned_round() -> None:
+@each_engine
+def test_channels_that_come_last_are_turned_round(engine: str) -> None:
     """The same image gives the same values in both layouts, whose options alone differ."""
     plain = NetworkOptions(hidden=(6,), convolutions=((3, 3, 1),), padding="same")
     first = q_network((3, 10, 8), 4, plain)
     last = q_network((10, 8, 3), 4, replace(plain, layout="channels_last"))
     rows, x = Layout(first).initial_rows([1, 2]), normal(2, 7, 3, 10, 8)
-    np.testing.assert_array_equal(stacked(last, rows, np.moveaxis(x, 2, -1)), stacked(first, rows, x))
+    values = ENGINES[engine]
+    np.testing.assert_array_equal(values(last, rows, np.moveaxis(x, 2, -1)), values(first, rows, x))
 
 
 @pytest.mark.parametrize(

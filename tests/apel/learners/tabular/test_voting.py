@@ -288,3 +288,63 @@ def test_options_are_checked(field: str, options: dict[str, Any]) -> None:
     """Unknown methods and temperatures that are none are refused by name."""
     with pytest.raises(ValueError, match=field):
         VotingOptions(**options)
+
+
+# The linear combination
+
+
+def linear(*opinions: Sequence[float], **options: Any) -> Voting:
+    """A linear combination of members that always think the same."""
+    return voting(opinions, method="linear", **options)
+
+
+def stepped(action: int, reward: float, terminated: bool) -> Transition:
+    return Transition(0, action, reward, 1, terminated, False, None)
+
+
+def test_linear_combination_by_hand() -> None:
+    """Of 2, 1 and 1, 3 at first the means 1.5 and 2; with τ = 1 π ∝ e^1.5, e²."""
+    combined = linear([2.0, 1.0], [1.0, 3.0], temperature=1.0)
+    assert combined.action_values(0).tolist() == [1.5, 2.0]
+    odds = math.exp(0.5)
+    assert combined.act(0)[1].tolist() == pytest.approx([1 / (1 + odds), odds / (1 + odds)])
+
+
+def test_weights_by_hand() -> None:
+    """Action 0, whose values are 2 and 1: p = 1.5, and 2 is the best of the next state's.
+
+    δ = −1 + 0.9 · 2 − 1.5 = −0.7, and w = ½ − 0.5 · 0.7 · (2, 1) / 5; at the end δ = −1 − 1.5, and (2, 1) / 4 less.
+    """
+    options = {"weight_learning_rate": 0.5, "discount": 0.9}
+    going_on, ending = (linear([2.0, 1.0], [1.0, 3.0], start=5, **options) for _ in range(2))
+    going_on.learn(stepped(5, -1.0, terminated=False))
+    assert going_on.weights.tolist() == pytest.approx([0.36, 0.43])
+    ending.learn(stepped(5, -1.0, terminated=True))
+    assert ending.weights.tolist() == pytest.approx([0.0, 0.25])
+
+
+def test_weights_find_the_member_that_is_right() -> None:
+    """Every action ends the episode with the reward that the first member expects; the second one errs."""
+    combined = linear([-3.0, -1.0, -2.0], [-1.0, -2.0, -5.0], weight_learning_rate=0.5)
+    for step in range(600):
+        combined.learn(stepped(step % 3, (-3.0, -1.0, -2.0)[step % 3], terminated=True))
+    assert combined.weights.tolist() == pytest.approx([1.0, 0.0], abs=1e-6)
+
+
+def test_members_learn_what_they_learn_anyway() -> None:
+    """And nothing is learned by the weights where all members think that the action is worth nothing."""
+    combined = linear([0.0, 1.0], [0.0, 2.0])
+    combined.learn(stepped(0, -1.0, terminated=True))
+    assert combined.weights.tolist() == [0.5, 0.5]
+    assert [len(member.learner.seen) for member in combined.members] == [1, 1]  # type: ignore[attr-defined]
+
+
+def test_weights_are_part_of_the_state() -> None:
+    """Of a linear combination alone; another one goes on from them, one of votes does not need them."""
+    combined, other = (linear([2.0, 1.0], [1.0, 3.0]) for _ in range(2))
+    combined.learn(stepped(0, -1.0, terminated=True))
+    other.restore(combined.state())
+    assert other.weights.tolist() == combined.weights.tolist() != [0.5, 0.5]
+    assert "weights" not in voting([[2.0, 1.0]]).state()
+    with pytest.raises(TypeError, match="found a linear combination, expected a vote without weights"):
+        combined.freeze()

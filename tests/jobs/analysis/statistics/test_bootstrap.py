@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
+from apel.numerics.intervals import expanded_levels
 from jobs.analysis.statistics.bootstrap import (
     Floats,
     Location,
@@ -51,12 +52,19 @@ def test_interval_of_a_share_by_hand() -> None:
 
 
 def test_interval_is_that_of_the_normal_approximation() -> None:
-    """For many values the interval of the mean is mean ± 1.96 standard errors, to a tenth of one."""
+    """For many values the interval of the mean is mean ± 1.97 standard errors, to a tenth of one."""
     values = np.random.default_rng(1).normal(10, 2, 400)
     error = values.std(ddof=1) / 20
     low, high = bootstrap_interval(values)
-    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.1 * error * 1.5)
-    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.1 * error * 1.5)
+    assert low == pytest.approx(values.mean() - 1.97 * error, abs=0.1 * error * 1.5)
+    assert high == pytest.approx(values.mean() + 1.97 * error, abs=0.1 * error * 1.5)
+
+
+def test_interval_of_ten_values_is_students() -> None:
+    """Of normal values it is mean ± 2.262 s / √10, as Student's, not ± 1.96 √0.9 s / √10 as the plain percentiles."""
+    values = stats.norm.ppf((np.arange(10) + 0.5) / 10)
+    reach = 2.262 * values.std(ddof=1) / np.sqrt(10)
+    assert bootstrap_interval(values) == pytest.approx((-reach, reach), abs=0.05 * reach)
 
 
 @settings(deadline=None)
@@ -72,17 +80,23 @@ def test_interval_holds_the_mean(values: list[float]) -> None:
 @pytest.mark.parametrize("location", LOCATIONS)
 @pytest.mark.parametrize("num_runs", [2, 3, 5, 8, 100])
 def test_curve_is_scipys_column_by_column(location: Location, num_runs: int) -> None:
-    """With the same generator the batches, the sorting and the shared resample change no column's interval."""
+    """With the same generator and levels, batches, sorting and the shared resample change no column's interval."""
     reference = {
         "mean": np.mean,
         "median": np.median,
         "interquartile_mean": lambda values, axis: stats.trim_mean(values, 0.25, axis=axis),
     }[location]
     values = np.random.default_rng(2).normal(size=(num_runs, 7))
+    low, high = expanded_levels(num_runs)
     found = bootstrap_curve(values, location, num_resamples=1000, seed=3)
     for column in range(7):
         theirs = stats.bootstrap(
-            (values[:, column],), reference, n_resamples=1000, method="percentile", rng=np.random.default_rng(3)
+            (values[:, column],),
+            reference,
+            n_resamples=1000,
+            confidence_level=high - low,
+            method="percentile",
+            rng=np.random.default_rng(3),
         ).confidence_interval
         expected = [reference(values[:, column], axis=-1), theirs.low, theirs.high]
         assert [part[column] for part in found] == pytest.approx(expected, abs=1e-12)
@@ -91,7 +105,10 @@ def test_curve_is_scipys_column_by_column(location: Location, num_runs: int) -> 
 def test_interval_is_scipys_with_another_generator() -> None:
     """Two sets of 10 000 resamples differ by Monte Carlo error: √2 · 2.7 standard errors / √10 000, here four times."""
     values = np.random.default_rng(4).exponential(size=100)
-    theirs = stats.bootstrap((values,), np.mean, method="percentile", rng=np.random.default_rng(99))
+    low, high = expanded_levels(100)
+    theirs = stats.bootstrap(
+        (values,), np.mean, confidence_level=high - low, method="percentile", rng=np.random.default_rng(99)
+    )
     allowed = 4 * np.sqrt(2) * 2.7 * values.std() / 10 / 100
     assert bootstrap_interval(values) == pytest.approx(tuple(theirs.confidence_interval), abs=allowed)
 

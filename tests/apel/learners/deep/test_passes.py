@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,31 @@ NETWORKS = {
     "actor critic": actor_critic((3,), 3, NetworkOptions(hidden=(33,), activation="relu", initialisation="pytorch")),
     "twins": twin_q((20,), 6, NetworkOptions(hidden=(65, 16), activation="relu")),
 }
+IMAGES = NetworkOptions(hidden=(33,), convolutions=((16, 4, 2),), activation="relu", initialisation="pytorch")
+NETWORKS |= {
+    "convolution": q_network((4, 10, 10), 3, IMAGES),
+    "convolutions": q_network(
+        (3, 9, 7), 2, replace(IMAGES, convolutions=((5, 3, 2), (18, 2, 1), (4, 1, 1))), (6,), dueling=True
+    ),
+    "padded, channels last": q_network(
+        (7, 8, 2), 2, replace(IMAGES, convolutions=((3, 3, 2), (7, 5, 1)), padding="same", layout="channels_last")
+    ),
+    "convolution alone": q_network((2, 4, 4), 3, replace(IMAGES, hidden=())),
+    "twins of convolutions": twin_q((2, 5, 5), 2, replace(IMAGES, convolutions=((3, 3, 1), (4, 2, 1)))),
+    "actor critic of a convolution": actor_critic((2, 5, 5), 2, IMAGES),
+    "normalised": q_network((4,), 2, NetworkOptions(hidden=(33, 16), layer_norm=True), (5,), dueling=True),
+    "normalised twins": twin_q((4,), 2, NetworkOptions(hidden=(65, 16), activation="relu", layer_norm=True)),
+    "normalised convolution": q_network((4, 10, 10), 3, replace(IMAGES, layer_norm=True)),
+}
 each_network = pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
 
 
 def normal(*shape: int, seed: int = 1) -> Values:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def inputs_of(network: Architecture) -> int:
+    return int(np.prod(network.shape))
 
 
 def both(network: Architecture, descent: Descent, size: int) -> tuple[CompiledNetwork, StackedNetwork]:
@@ -42,7 +63,7 @@ def both(network: Architecture, descent: Descent, size: int) -> tuple[CompiledNe
 def test_gradients_are_those_of_autograd(network: Architecture, size: int) -> None:
     """Of Σ d · outputs in every parameter, in double precision; what rows are filled up with has none."""
     compiled, stacked = both(network, Descent(1e-3, 1e-8), size)
-    x, slope = normal(1, size, network.shape[0]), normal(1, size, network.num_outputs, seed=2)
+    x, slope = normal(1, size, inputs_of(network)), normal(1, size, network.num_outputs, seed=2)
     outputs = np.zeros_like(slope)
     rows = torch.from_numpy(compiled.arrays.online[1:2].astype(np.float64)).requires_grad_()
     expected = stacked.values(rows, torch.from_numpy(x.astype(np.float64)))
@@ -63,7 +84,7 @@ def test_steps_are_those_of_pytorch(network: Architecture, descent: Descent) -> 
     compiled, stacked = both(network, descent, 8)
     outputs = np.zeros((1, 8, network.num_outputs), dtype=np.float32)
     for step in range(20):
-        x = normal(1, 8, network.shape[0], seed=step)
+        x = normal(1, 8, inputs_of(network), seed=step)
         for run in (0, 2):
             for one in (compiled.arrays, stacked):
                 one.predict(runs_of(run), 8, x, outputs)
@@ -80,7 +101,7 @@ def test_steps_are_those_of_pytorch(network: Architecture, descent: Descent) -> 
 def test_runs_are_computed_alone(network: Architecture) -> None:
     """Whoever else is named in a call, whatever the size of the batch, and wherever the rows lie: the same bits."""
     compiled, _ = both(network, Descent(1e-3, 1e-8), 40)
-    x = normal(3, 40, network.shape[0])
+    x = normal(3, 40, inputs_of(network))
     together = np.zeros((3, 40, network.num_outputs), dtype=np.float32)
     compiled.arrays.evaluate(ONLINE, runs_of(0, 1, 2), 40, x, together)
     for run in range(3):
@@ -96,7 +117,7 @@ def test_adam_by_hand() -> None:
     network = CompiledNetwork(NETWORKS["no body"], [1], Descent(0.5, 1e-4), 1, has_other=False)
     arrays: Any = network.arrays
     before = arrays.online.copy()
-    from apel.learners.deep.perceptron import adam
+    from apel.learners.deep.passes import adam
 
     gradient = np.zeros(network.layout.size, dtype=np.float32)
     gradient[:3] = [4.0, -0.001, 1e-4]

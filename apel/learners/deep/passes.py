@@ -1,7 +1,7 @@
-"""Perceptrons of one run each, compiled: values, gradients, and steps, without a neighbour and without an allocation.
+"""Networks of one run each, compiled: values, gradients, and steps, without a neighbour and without an allocation.
 
-A perceptron is a few dense layers in order, each of which reads the input or an earlier layer; some are heads, and
-write columns of the outputs. All parameters of a run are one row. Nothing here knows how many runs there are.
+A network is a few layers in order, each of which reads the input or an earlier layer (`layer_table`); some are heads,
+and write columns of the outputs. All parameters of a run are one row. Nothing here knows how many runs there are.
 """
 
 from __future__ import annotations
@@ -10,29 +10,35 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float32, float64, int64, void
+from numba import float32, float64, int32, int64, void
 from numpy.typing import NDArray
 
 from apel.learners.deep.arithmetic import power, tanh32
+from apel.learners.deep.layer_table import (
+    ACTIVATION,
+    BIAS,
+    COLUMN,
+    INPUTS,
+    MAP,
+    NORMAL,
+    OUTPUTS,
+    PATCHES,
+    PLACES,
+    RELU,
+    ROOM,
+    SOURCE,
+    TANH,
+    WEIGHT,
+    Layers,
+    Maps,
+    filled,
+)
+from apel.learners.deep.normalising import denormalise, normalise
+from apel.learners.deep.patches import gather, scatter
 from apel.learners.deep.products import LANES, Floats, multiply, sum_of_squares
 from apel.numerics.compiled import KernelFunction, caller_of, njit
 
-SOURCE, INPUTS, OUTPUTS, WEIGHT, BIAS, ACTIVATION, COLUMN, ROOM = range(8)
-"""What stands in the row of a layer: the layer that it reads (−1: the input); how many numbers go in, and come out;
-where its weights ``[inputs, filled outputs]`` and its biases begin; its activation; its first column among the outputs
-(−1: it is no head); and how many numbers of each example the layers before it take up."""
-LINEAR, TANH, RELU = range(3)
 _BETA_1, _BETA_2 = 0.9, 0.999  # Kingma & Ba 2015
-
-Layers = NDArray[np.int64]
-"""``int64[layers, 8]``."""
-
-
-@njit(inline="always")
-def filled(count: int) -> int:
-    """``count``, filled up to whole vectors."""
-    return (count + LANES - 1) // LANES * LANES
-
 
 # Loops go over slices, from 0 on: whether an index is below 0, and so counts from the end, need not be asked then.
 
@@ -47,8 +53,18 @@ def _activate(kind: int, values: Floats) -> None:
             values[i] = max(values[i], np.float32(0.0))
 
 
-def _forward(layers: Layers, dueling: bool, row: Floats, inputs: Any, activations: Floats, outputs: Any) -> None:
-    """Outputs ``float32[B, outputs]`` of ``inputs`` ``float32[B, inputs]``; the layers' values stay in ``activations``.
+def _forward(
+    layers: Layers,
+    maps: Maps,
+    dueling: bool,
+    row: Floats,
+    inputs: Any,
+    activations: Floats,
+    patches: Floats,
+    normalised: Floats,
+    outputs: Any,
+) -> None:
+    """Outputs ``float32[B, outputs]`` of ``inputs`` ``float32[B, inputs]``; what `_backward` needs stays in the rooms.
 
     With ``dueling`` the last output of the heads is V, the others A, and the outputs V + A − mean A (Wang et al. 2016).
     """
@@ -56,17 +72,22 @@ def _forward(layers: Layers, dueling: bool, row: Floats, inputs: Any, activation
     flat = inputs.reshape(inputs.size)
     for i in range(layers.shape[0]):
         layer = layers[i]
-        width, at = filled(layer[OUTPUTS]), count * layer[ROOM]
-        if layer[SOURCE] < 0:
-            source, source_at, stride = flat, 0, given
-        else:
+        width, at, size = filled(layer[OUTPUTS]), count * layer[ROOM], count * layer[PLACES]
+        source, source_at, stride = flat, 0, given
+        if layer[SOURCE] >= 0:
             before = layers[layer[SOURCE]]
-            source, source_at, stride = activations, count * before[ROOM], filled(before[OUTPUTS])
+            source, source_at = activations, count * before[ROOM]
+            stride = before[PLACES] * filled(before[OUTPUTS])
         depth, weight, bias = layer[INPUTS], layer[WEIGHT], layer[BIAS]
+        if layer[MAP] >= 0:
+            gather(count, layer, maps, source, source_at, stride, patches)
+            source, source_at, stride = patches, count * layer[PATCHES], filled(depth)
         multiply(
-            count, depth, width, source, source_at, stride, 1, row, weight, width, row, bias, 0, activations, at, width
+            size, depth, width, source, source_at, stride, 1, row, weight, width, row, bias, 0, activations, at, width
         )
-        _activate(layer[ACTIVATION], activations[at : at + count * width])
+        if layer[NORMAL] >= 0:
+            normalise(count, layer, activations, normalised)
+        _activate(layer[ACTIVATION], activations[at : at + size * width])
         if layer[COLUMN] >= 0:
             for b in range(count):
                 for j in range(min(layer[OUTPUTS], outputs.shape[1] - layer[COLUMN])):
@@ -133,43 +154,60 @@ def _transpose(weights: Floats, rows: int, columns: int, room: Floats) -> int:
 
 def _backward(
     layers: Layers,
+    maps: Maps,
     dueling: bool,
     row: Floats,
     inputs: Any,
     activations: Floats,
+    patches: Floats,
+    normalised: Floats,
     output_gradient: Any,
     deltas: Floats,
     transposed: Floats,
     gradient: Floats,
 ) -> None:
-    """The gradient ``float32[P]`` of the row, of Σ ``output_gradient`` · outputs, after `_forward` of the same."""
+    """The gradient ``float32[P]`` of the row, of Σ ``output_gradient`` · outputs, after `_forward` of the same, of
+    which nothing is left in ``patches``.
+    """
     count, given = inputs.shape
     flat = inputs.reshape(inputs.size)
     last = layers[layers.shape[0] - 1]
     deltas[: count * (last[ROOM] + filled(last[OUTPUTS]))] = np.float32(0.0)
+    one = transposed.shape[0] - LANES  # before it there are zeros
     for i in range(layers.shape[0] - 1, -1, -1):
         layer = layers[i]
-        width, at = filled(layer[OUTPUTS]), count * layer[ROOM]
+        width, at, size = filled(layer[OUTPUTS]), count * layer[ROOM], count * layer[PLACES]
         if layer[COLUMN] >= 0:
             _head_gradient(layer, dueling, output_gradient, deltas)
-        _differentiate(layer[ACTIVATION], activations[at : at + count * width], deltas[at : at + count * width])
-        if layer[SOURCE] < 0:
-            source, source_at, stride = flat, 0, given
-        else:
+        _differentiate(layer[ACTIVATION], activations[at : at + size * width], deltas[at : at + size * width])
+        if layer[NORMAL] >= 0:
+            denormalise(count, layer, normalised, deltas)
+        source, source_at, stride = flat, 0, given
+        if layer[SOURCE] >= 0:
             before = layers[layer[SOURCE]]
-            source, source_at, stride = activations, count * before[ROOM], filled(before[OUTPUTS])
+            source, source_at = activations, count * before[ROOM]
+            stride = before[PLACES] * filled(before[OUTPUTS])
         depth, weight, bias = layer[INPUTS], layer[WEIGHT], layer[BIAS]
-        nothing = transposed.shape[0] - LANES - width  # there are zeros, and then a one
+        to_at, step = source_at, stride
+        if layer[MAP] >= 0:
+            source, source_at, stride = patches, count * layer[PATCHES], filled(depth)
         multiply(
-            depth, count, width, source, source_at, 1, stride, deltas, at, width, transposed, nothing, 0, gradient,
+            depth, size, width, source, source_at, 1, stride, deltas, at, width, transposed, one - width, 0, gradient,
             weight, width,
         )  # fmt: skip
         multiply(
-            1, count, width, transposed, transposed.shape[0] - LANES, 0, 0, deltas, at, width, transposed, nothing, 0,
-            gradient, bias, width,
-        )  # fmt: skip
-        if layer[SOURCE] >= 0:
-            wide = _transpose(row[weight:], depth, layer[OUTPUTS], transposed)
+            1, size, width, transposed, one, 0, 0, deltas, at, width, transposed, one - width, 0, gradient, bias, width
+        )
+        if layer[SOURCE] < 0:
+            continue
+        wide = _transpose(row[weight:], depth, layer[OUTPUTS], transposed)
+        if layer[MAP] >= 0:
+            multiply(
+                size, layer[OUTPUTS], wide, deltas, at, width, 1, transposed, 0, wide, transposed, one - wide, 0,
+                patches, source_at, stride,
+            )  # fmt: skip
+            scatter(count, layer, maps, patches, deltas, to_at, step)
+        else:
             multiply(
                 count, layer[OUTPUTS], wide, deltas, at, width, 1, transposed, 0, wide, deltas, source_at, stride,
                 deltas, source_at, stride,
@@ -214,8 +252,9 @@ def adam(step: int, rate: float, epsilon: float, gradient: Floats, row: Floats, 
 
 
 _ROW, _MATRIX = float32[::1], float32[:, ::1]
-_FORWARD = KernelFunction(_forward, void(int64[:, ::1], int64, _ROW, _MATRIX, _ROW, _MATRIX))
-_BACKWARD = KernelFunction(_backward, void(int64[:, ::1], int64, _ROW, _MATRIX, _ROW, _MATRIX, _ROW, _ROW, _ROW))
+_LAYERS = int64[:, ::1], int32[::1], int64
+_FORWARD = KernelFunction(_forward, void(*_LAYERS, _ROW, _MATRIX, _ROW, _ROW, _ROW, _MATRIX))
+_BACKWARD = KernelFunction(_backward, void(*_LAYERS, _ROW, _MATRIX, _ROW, _ROW, _ROW, _MATRIX, _ROW, _ROW, _ROW))
 _CLIP = KernelFunction(_clip, void(int64[:, ::1], int64, float64, _ROW))
 _ADAM = KernelFunction(adam.py_func, void(int64, float64, float64, _ROW, _ROW, _ROW, _ROW))
 call_forward, call_backward = caller_of(_FORWARD), caller_of(_BACKWARD)
@@ -223,7 +262,7 @@ call_clip, call_adam = caller_of(_CLIP), caller_of(_ADAM)
 
 
 class Kernels(NamedTuple):
-    """Where the functions lie, the same for every perceptron: so nobody who calls them compiles them anew."""
+    """Where the functions lie, the same for every network: so nobody who calls them compiles them anew."""
 
     forward: int
     backward: int
