@@ -149,7 +149,7 @@ def refuse_lost_cluster() -> None:
     if dead:
         message = (
             f"the Ray on this machine has lost its {dead[0]}, which the system may have ended for want of memory: what "
-            "is finished is stored, and the same command goes on from the last checkpoints"
+            "is finished is stored, and the same command resumes from the last checkpoints"
         )
         raise LostClusterError(message)
 

@@ -70,7 +70,7 @@ def _check(address: str, host: str, port: str) -> None:
         _connect(mine, int(port), f"found no cluster of {address!r} at {mine}, where Ray looks for it")
     answer = _answer(address, _token())
     if answer in _NO_GCS:
-        message = f"could not reach a Ray cluster at {address!r}: what listens there is none, or hangs ({answer.name})"
+        message = f"could not reach a Ray cluster at {address!r}: no Ray cluster answers there ({answer.name})"
         raise ClusterError(message)
     if answer is grpc.StatusCode.UNAUTHENTICATED:
         message = (

@@ -110,7 +110,9 @@ class UntilDecided:
         candidates = [one for one in contests(self._plan.experiment)[0].candidates if one.name in names]
         measure = deciding(self._plan.experiment, run_rows(self._rows(), candidates))
         if measure is None:
-            message = "--until: found runs whose final return is not known, expected it of all: --fresh plays them anew"
+            message = (
+                "--until: found runs without a known final return, expected all to have one: --fresh plays them again"
+            )
             raise StoreError(message)
         return measure.values, measure.smaller_is_better
 

@@ -115,7 +115,7 @@ class Carried:
         if replay(int(stored["seed"]), self._actions.rows(np.asarray(stored["actions"]))) != stored["digest"]:
             message = (
                 "the environment carries something over from one episode to the next, or draws without its seed: "
-                "played again in a new one, its last episode goes another way, so that nobody can go on exactly from "
+                "played again in a new one, its last episode goes another way, so that no run can resume exactly from "
                 "what is stored of it. Give it the methods state() and restore(state), which say what it carries"
             )
             raise CarriedStateError(message)

@@ -141,7 +141,7 @@ def _fitting(seen: spaces.Space[Any], action: spaces.Space[Any]) -> str:
         return "which would have to be one of your own, or apel.environments.JointActions around the environment"
     fit = [name for name, one in SHIPPED.items() if one.takes_actions(action) and one.takes_observations(seen)]
     if not fit:
-        return "which would have to be one of your own: none that comes along is for such actions and observations"
+        return "which would have to be your own: no shipped learner supports such actions and observations"
     ours = [name for name in fit if name not in SB3_ALGORITHMS]
     theirs = ", ".join(name for name in fit if name in SB3_ALGORITHMS)
     return f"such as {', '.join([*ours, f'stable_baselines (algorithm: {theirs})'])}"

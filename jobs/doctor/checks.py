@@ -145,11 +145,11 @@ def cluster(answer: Answer) -> Finding:
 def token(found: Token, cluster: Answer) -> Finding:
     """Whether Ray has a token to show, and keeps it to itself."""
     if found.mode == "disabled":
-        return Finding("token", "note", "RAY_AUTH_MODE=disabled", "whoever reaches the cluster can run code on it")
+        return Finding("token", "note", "RAY_AUTH_MODE=disabled", "anyone who reaches the cluster can run code on it")
     if not found.source:
         if found.mode == "token":
             advice = "put the cluster's token into RAY_AUTH_TOKEN, or into ~/.ray/auth_token"
-            return Finding("token", "problem", "RAY_AUTH_MODE=token, but there is none", advice)
+            return Finding("token", "problem", "RAY_AUTH_MODE=token, but no token is set", advice)
         if cluster.asked and not cluster.error:
             return Finding("token", "note", "none, and the cluster asks for none", "fence it in: docs/security.md")
         return Finding("token", "fine", "none")

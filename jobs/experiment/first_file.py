@@ -141,7 +141,7 @@ def _suiting(config: EnvironmentConfig, world: World) -> tuple[list[_Candidate],
     space = world.environment
     message = (
         f"--env: {config.name}: found observations {space.observation_space} and actions {space.action_space}, for "
-        f"which no learner that comes along can be built here ({reasons[-1]}), expected others, or a learner of yours"
+        f"which no shipped learner can be built here ({reasons[-1]}), expected others, or a learner of yours"
     )
     raise SpecError(message)
 
@@ -178,7 +178,7 @@ def _binned(world: World) -> Iterator[_Candidate]:
 
 
 def _network_budget(world: World) -> _Budget:
-    """Images and continuous actions are for PyTorch, which takes many times as long as compiled perceptrons."""
+    """Images and continuous actions take many times as long as perceptrons and discrete ones."""
     is_slow = bool(_image_network(world)) or isinstance(world.environment.action_space, spaces.Box)
     return _SLOW_NETWORKS if is_slow else _PERCEPTRONS
 
@@ -224,8 +224,8 @@ def _lines(
     seen = world.environment
     shapes = f"observations {_short(seen.observation_space)}, actions {_short(seen.action_space)}"
     yield f"# {config.name} ({shapes}),"
-    yield "# and the learners that come along and suit it. `apel validate` checks this file, `apel run` plays it, and"
-    yield "# goes on where it stopped. With `apel schema > apel.schema.json` and, as the first line,"
+    yield "# and the shipped learners that suit it. `apel validate` checks this file, `apel run` plays it, and resumes"
+    yield "# where it stopped. With `apel schema > apel.schema.json` and, as the first line,"
     yield "# `# yaml-language-server: $schema=apel.schema.json`, editors complete fields and options, and explain them."
     yield f"name: {_flow(name)}"
     yield f"runs: {budget.runs}  # seeds of each arm; of more, later, only the new ones are played"

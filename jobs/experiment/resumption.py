@@ -27,5 +27,5 @@ def resumption_notes(plan: Plan) -> list[str]:
             break
         with warnings.catch_warnings(action="ignore"):
             found = why_not_exact(partial(make_run_world, run))
-        notes[key] = found and f"{run.environment.name}: {found}. Until then a shard that is interrupted begins anew."
+        notes[key] = found and f"{run.environment.name}: {found}. Until then an interrupted shard starts over."
     return list(dict.fromkeys(note for note in notes.values() if note))

@@ -99,6 +99,6 @@ class Apart(Observer):
             culprit = culprit_of(error)
             place = place_of(culprit)
             where = f" ({place})" if place else ""
-            self._trouble = self._trouble or f"{what} raised {in_a_line(culprit)}{where}; the job goes on"
+            self._trouble = self._trouble or f"{what} raised {in_a_line(culprit)}{where}; the job continues"
             return False
         return True

@@ -111,7 +111,7 @@ def read_record(job: str) -> Record:
     except (OSError, ValueError) as error:
         message = (
             f"found no record of the job {job!r} on this machine ({path}), expected one that was submitted from here: "
-            "submit its experiment again, which goes on where the job stopped"
+            "submit its experiment again, which resumes where the job stopped"
         )
         raise SpecError(message) from error
     return Record(**{**stored, "options": tuple(stored["options"])})

@@ -169,7 +169,7 @@ def _outlast_others(folder: Folder, mine: Lease, me: Owner, timing: Timing, on_w
         if unsure and not told:
             told = True
             who = _owner(unsure[0])
-            on_wait(f"waiting up to {timing.dead_seconds:.0f} s to see whether {who} is still at work on these results")
+            on_wait(f"waiting up to {timing.dead_seconds:.0f} s to see whether {who} is still computing these results")
         if all(state == "dead" for state in states.values()):
             return
         time.sleep(timing.look_seconds)

@@ -30,7 +30,7 @@ def of_other_sources(experiment: Experiment, root: str) -> Iterator[str]:
             if other.model_copy(update={"sources": experiment.sources}).identity == experiment.identity:
                 yield (
                     f"{folder.location(identity)} holds results of other source: {_difference(other, experiment)}; "
-                    "they stay as they are, and all is computed anew beside them"
+                    "they stay as they are, and everything is computed again beside them"
                 )
 
 

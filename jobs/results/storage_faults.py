@@ -75,7 +75,7 @@ def storage_message(place: str, doing: str, error: OSError) -> str:
     found = os.strerror(error.errno) if error.errno is not None else re.sub(r" \(Request ID: \w*\)", "", str(error))
     advice = _advice(error)
     if doing == "writing":
-        advice += "; what is finished is stored, and the same command goes on from there"
+        advice += "; finished work is stored, and the same command resumes from there"
     return f"{place}: found '{found}' while {doing}: {advice}"
 
 

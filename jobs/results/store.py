@@ -241,7 +241,7 @@ class ResultStore:
         try:
             yield
         except (DamageError, OSError, UnicodeDecodeError) as error:
-            remedy = "`apel run` of its experiment file makes it anew"
+            remedy = "`apel run` of its experiment file makes it again"
             message = f"{self.folder.location(name)}: {error}: {remedy}"
             raise StoreError(message) from error
 

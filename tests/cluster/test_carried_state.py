@@ -155,7 +155,7 @@ def test_it_is_said_at_the_start_and_in_the_manifest(
     outcome = run_experiment(experiment, Settings(results=str(tmp_path), placement="local"), observer)
     (note,) = observer.notes
     assert "Give it the methods state() and restore(state)" in note
-    assert note.endswith("Until then a shard that is interrupted begins anew.")
+    assert note.endswith("Until then an interrupted shard starts over.")
     manifest = outcome.store.manifest()
     assert manifest is not None
     assert manifest["sessions"][0]["notes"] == [note]

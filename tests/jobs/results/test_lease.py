@@ -96,7 +96,7 @@ def test_silent_lease_of_another_machine(tmp_path: Path, state: str) -> None:
         assert folder.names("claims") != ["0.json"]
         assert len(folder.names("claims")) == 1
     assert said == [
-        "waiting up to 0 s to see whether job job-1, process 7 on another machine is still at work on these results"
+        "waiting up to 0 s to see whether job job-1, process 7 on another machine is still computing these results"
     ]
 
 
@@ -234,4 +234,4 @@ def test_lease_of_another_form(tmp_path: Path, kind: str) -> None:
         assert "claims/0.json" not in [f"claims/{name}" for name in folder.names("claims")]
     assert len(told) == 1
     assert "to see whether " in told[0]
-    assert "is still at work on these results" in told[0]
+    assert "is still computing these results" in told[0]

@@ -260,7 +260,7 @@ def test_message(error: OSError, expected: str) -> None:
     message = storage_message("s3://b/x", "writing", error)
     assert message.startswith("s3://b/x: found '")
     assert expected in message
-    assert message.endswith("; what is finished is stored, and the same command goes on from there")
+    assert message.endswith("; finished work is stored, and the same command resumes from there")
     assert "finished" not in storage_message("s3://b/x", "reading", error)
 
 

@@ -103,7 +103,7 @@ def test_storage_that_takes_no_more(
     assert status == (2 if num_writes == 0 else 1)
     assert error.count("error: ") == 1
     assert f"found '{os.strerror(code)}' while writing" in error
-    assert "the same command goes on from there" in error
+    assert "the same command resumes from there" in error
     assert "Traceback" not in error
     assert temporary_files(results) == []
     assert call(capsys, *command(small, results)) == (0, "")
