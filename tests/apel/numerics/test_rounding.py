@@ -77,6 +77,7 @@ def test_import_leaves_the_environment_alone() -> None:
     """``import apel`` sets no variable and loads no PyTorch."""
     code = "import os, sys; before = dict(os.environ); import apel; print(before == os.environ, 'torch' in sys.modules)"
     kept = {key: value for key, value in os.environ.items() if key != "MKL_CBWR"}
+    kept["PYGAME_HIDE_SUPPORT_PROMPT"] = "hide"  # which Gymnasium sets
     done = subprocess.run([sys.executable, "-c", code], env=kept, capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr) == ("True False", "")
 

@@ -87,6 +87,7 @@ IDENTITIES = {
     "tournament-steady-state": "99beff79d4c3",
     "voting-curves": "d433bb6e9991",
     "breakout-minatar": "00831eabe4b8",
+    "breakout-minatar-repaired": "303a3483aa33",
     "cartpole-learners": "18212ad368b8",
     "ceiling-ties": "4fcf293a8df0",
     "lunar-lander-continuous": "5eb417571c2d",
