@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from apel.run.state import EpisodeRows
-from cluster.compiling import compile_for
+from cluster.compiling import Nowhere, compile_for
 from cluster.local import run_shards
 from cluster.protocols import NO_RUN_ROWS, RunRows
 from cluster.shard import Execution, Shard
@@ -82,7 +82,7 @@ def play(shards: Sequence[Shard], processes: int, end: float, out: Path) -> None
 
 
 @dataclass
-class _InMemory:
+class _InMemory(Nowhere):
     """Takes a shard's rows, and has no checkpoint."""
 
     runs: RunRows = NO_RUN_ROWS
@@ -96,18 +96,6 @@ class _InMemory:
     def commit(self, _: Shard, runs: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
         self.runs = runs
         self.rows = [one for part in parts for one in self.parts[int(part)]] + list(rows)
-
-    def keep(self, *_: Any) -> None:
-        """No model is kept."""
-
-    def read(self, _: Shard) -> None:
-        """There is none."""
-
-    def write(self, *_: Any) -> None:
-        """None is kept."""
-
-    def delete(self, _: Shard) -> None:
-        """There is none."""
 
 
 def played(shard: Shard) -> list[dict[str, Any]]:

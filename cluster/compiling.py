@@ -94,13 +94,13 @@ def _compile_selector(name: str) -> None:
         run = RunPlan(0, 0, _MAZE, (LearnerConfig("q_learning"),) * num_learners)
         names = tuple(f"learner {i}" for i in range(num_learners))
         arm = ArmPlan("compile", name, "", names, SelectorConfig(name), "return", 5, recording="all")
-        coordinator = Coordinator(LocalHosts(), _Nowhere(), _Nowhere(), Execution(streak_episodes=2))
+        coordinator = Coordinator(LocalHosts(), Nowhere(), Nowhere(), Execution(streak_episodes=2))
         for _ in coordinator.run(Shard(arm, (run,))):
             pass
 
 
-class _Nowhere:
-    """Keeps nothing."""
+class Nowhere:
+    """A sink and a store of checkpoints that keep nothing."""
 
     def spill(self, *_: Any) -> str:
         """Keep nothing."""

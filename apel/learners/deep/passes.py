@@ -53,6 +53,17 @@ def _activate(kind: int, values: Floats) -> None:
             values[i] = max(values[i], np.float32(0.0))
 
 
+@njit(inline="always")
+def _source(
+    layers: Layers, layer: NDArray[np.int64], count: int, inputs: Any, activations: Floats
+) -> tuple[Any, int, int]:
+    """What a layer reads: the array, where the first of ``count`` examples begins in it, and how far they are apart."""
+    if layer[SOURCE] < 0:
+        return inputs.reshape(inputs.size), 0, inputs.shape[1]
+    before = layers[layer[SOURCE]]
+    return activations, count * before[ROOM], before[PLACES] * filled(before[OUTPUTS])
+
+
 def _forward(
     layers: Layers,
     maps: Maps,
@@ -68,16 +79,11 @@ def _forward(
 
     With ``dueling`` the last output of the heads is V, the others A, and the outputs V + A − mean A (Wang et al. 2016).
     """
-    count, given = inputs.shape
-    flat = inputs.reshape(inputs.size)
+    count = inputs.shape[0]
     for i in range(layers.shape[0]):
         layer = layers[i]
         width, at, size = filled(layer[OUTPUTS]), count * layer[ROOM], count * layer[PLACES]
-        source, source_at, stride = flat, 0, given
-        if layer[SOURCE] >= 0:
-            before = layers[layer[SOURCE]]
-            source, source_at = activations, count * before[ROOM]
-            stride = before[PLACES] * filled(before[OUTPUTS])
+        source, source_at, stride = _source(layers, layer, count, inputs, activations)
         depth, weight, bias = layer[INPUTS], layer[WEIGHT], layer[BIAS]
         if layer[MAP] >= 0:
             gather(count, layer, maps, source, source_at, stride, patches)
@@ -169,8 +175,7 @@ def _backward(
     """The gradient ``float32[P]`` of the row, of Σ ``output_gradient`` · outputs, after `_forward` of the same, of
     which nothing is left in ``patches``.
     """
-    count, given = inputs.shape
-    flat = inputs.reshape(inputs.size)
+    count = inputs.shape[0]
     last = layers[layers.shape[0] - 1]
     deltas[: count * (last[ROOM] + filled(last[OUTPUTS]))] = np.float32(0.0)
     one = transposed.shape[0] - LANES  # before it there are zeros
@@ -182,11 +187,7 @@ def _backward(
         _differentiate(layer[ACTIVATION], activations[at : at + size * width], deltas[at : at + size * width])
         if layer[NORMAL] >= 0:
             denormalise(count, layer, normalised, deltas)
-        source, source_at, stride = flat, 0, given
-        if layer[SOURCE] >= 0:
-            before = layers[layer[SOURCE]]
-            source, source_at = activations, count * before[ROOM]
-            stride = before[PLACES] * filled(before[OUTPUTS])
+        source, source_at, stride = _source(layers, layer, count, inputs, activations)
         depth, weight, bias = layer[INPUTS], layer[WEIGHT], layer[BIAS]
         to_at, step = source_at, stride
         if layer[MAP] >= 0:

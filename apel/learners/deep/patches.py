@@ -13,17 +13,26 @@ from apel.numerics.compiled import njit
 
 
 @njit
+def _patch(
+    count: int, layer: NDArray[np.int64], maps: Maps, patches: Floats, example: int, place: int
+) -> tuple[Floats, Maps]:
+    """One of an example's patches, and where its numbers lie in the layer's source."""
+    depth = layer[INPUTS]
+    at = count * layer[PATCHES] + (example * layer[PLACES] + place) * filled(depth)
+    begin = layer[MAP] + place * depth
+    return patches[at : at + depth], maps[begin : begin + depth]
+
+
+@njit
 def gather(
     count: int, layer: NDArray[np.int64], maps: Maps, source: Any, source_at: int, stride: int, patches: Floats
 ) -> None:
     """Write the patches of ``count`` examples, whose source begins at ``source_at``, ``stride`` apart."""
-    places, depth, width = layer[PLACES], layer[INPUTS], filled(layer[INPUTS])
     for b in range(count):
         given = source[source_at + b * stride : source_at + (b + 1) * stride]
-        for place in range(places):
-            at, begin = count * layer[PATCHES] + (b * places + place) * width, layer[MAP] + place * depth
-            patch, chosen = patches[at : at + depth], maps[begin : begin + depth]
-            for j in range(depth):
+        for place in range(layer[PLACES]):
+            patch, chosen = _patch(count, layer, maps, patches, b, place)
+            for j in range(patch.shape[0]):
                 patch[j] = given[chosen[j]] if chosen[j] >= 0 else np.float32(0.0)
 
 
@@ -32,12 +41,10 @@ def scatter(
     count: int, layer: NDArray[np.int64], maps: Maps, patches: Floats, deltas: Floats, source_at: int, stride: int
 ) -> None:
     """Add the gradients in ``patches`` to those of what was gathered there, place by place."""
-    places, depth, width = layer[PLACES], layer[INPUTS], filled(layer[INPUTS])
     for b in range(count):
         given = deltas[source_at + b * stride : source_at + (b + 1) * stride]
-        for place in range(places):
-            at, begin = count * layer[PATCHES] + (b * places + place) * width, layer[MAP] + place * depth
-            patch, chosen = patches[at : at + depth], maps[begin : begin + depth]
-            for j in range(depth):
+        for place in range(layer[PLACES]):
+            patch, chosen = _patch(count, layer, maps, patches, b, place)
+            for j in range(patch.shape[0]):
                 if chosen[j] >= 0:
                     given[chosen[j]] += patch[j]
