@@ -107,7 +107,7 @@ def ray(error: str) -> Finding:
 def gpu(gpus: Gpus) -> Finding:
     """Whether PyTorch uses the cards that are there."""
     if not gpus.seen and not gpus.usable:
-        return Finding("GPU", "fine", "none; perceptrons and tables do not need one")
+        return Finding("GPU", "fine", "none; tables and the networks compiled for the CPU do not need one")
     found = f"{gpus.seen or gpus.usable} seen"
     if gpus.torch is None:
         return Finding("GPU", "note", f"{found}, no PyTorch", "pip install 'apel[deep]' to use it")
