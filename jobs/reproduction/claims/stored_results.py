@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from pyarrow import fs
-
 from jobs.experiment.spec import Experiment
-from jobs.results.places import joined, redacted
+from jobs.results.finding import stores_below
+from jobs.results.places import redacted
 from jobs.results.store import ResultStore, StoreError
 
 
@@ -59,28 +58,9 @@ def found_stores(locations: Sequence[str]) -> list[ResultStore]:
     """
     found: list[tuple[float, ResultStore]] = []
     for location in locations:
-        below = _stores_below(location)
+        below = stores_below(location, lambda _: None)
         if not below:
             message = f"{redacted(location)}: found no results, expected a folder of results or of an experiment"
             raise StoreError(message)
         found += below
     return [store for _, store in sorted(found, key=lambda pair: pair[0])]
-
-
-def _stores_below(location: str) -> list[tuple[float, ResultStore]]:
-    """All folders with a ``runs.parquet``, at most two levels down, and when that was written."""
-    level, found = [location], []
-    for _ in range(3):
-        below = []
-        for place in level:
-            store = ResultStore.at(place)
-            (info,) = store.folder.filesystem.get_file_info([store.folder.path("runs.parquet")])
-            if info.type == fs.FileType.File and not store.folder.is_link("runs.parquet"):
-                found.append((info.mtime.timestamp() if info.mtime else 0.0, store))
-                continue
-            selector = fs.FileSelector(store.folder.path(), allow_not_found=True)
-            infos = store.folder.filesystem.get_file_info(selector)
-            names = [info.base_name for info in infos if info.type == fs.FileType.Directory]
-            below += [joined(place, name) for name in names if not store.folder.is_link(name)]
-        level = sorted(below)
-    return found
