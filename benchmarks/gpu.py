@@ -20,16 +20,16 @@ import threading
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+from jobs.results.manifest import versions
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARES = {"bits": 0.2, "network": 0.2, "rates": 0.27, "rows": 0.33}
 """Of the time; what a part does not use, the next ones have."""
 GRACE = 5.0
 """Seconds that a part has beyond what it was told, to load and to end."""
-PACKAGES = ("torch", "numba", "numpy", "gymnasium", "MinAtar")
 
 
 class Part:
@@ -70,14 +70,6 @@ class Part:
         return self.found
 
 
-def installed(name: str) -> str:
-    """Its version."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
-
-
 def gpu() -> str:
     """Its name, memory and driver."""
     command = ["nvidia-smi", "--query-gpu=name,memory.total,driver_version", "--format=csv,noheader"]
@@ -99,7 +91,7 @@ def main() -> None:
     record: dict[str, Any] = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {"gpu": gpu(), "cores": os.cpu_count()},
-        "versions": {name: installed(name) for name in PACKAGES},
+        "versions": versions(),
         "found": [],
     }
     print(json.dumps(record), flush=True)
