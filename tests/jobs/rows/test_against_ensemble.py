@@ -44,6 +44,8 @@ def shortened(name: str) -> Experiment:
     """A shipped experiment that takes a second."""
     content = yaml.safe_load(shipped_experiments()[name])
     content |= {"runs": RUNS, "episodes": EPISODES, "record": "all"}
+    if "variables" in content:
+        content["variables"] |= {"switch": [SWITCH - 1, SWITCH]}
     options = content["environment"]["options"]
     options |= {"size": 5, "max_steps": 30}
     options.pop("optimal_length", None)
@@ -66,20 +68,21 @@ def shortened(name: str) -> Experiment:
 def shortened_axis(axis: str, values: list[Any] | dict[str, list[Any]]) -> dict[str, list[Any]]:
     """An axis with its first and last place; with all of them where they have labels."""
     columns = {axis: values} if isinstance(values, list) else values
-    if LABEL in columns:
-        return columns
-    return {path: shortened_column(path, column[0], column[-1]) for path, column in columns.items()}
+    places = slice(None) if LABEL in columns else slice(0, None, max(len(next(iter(columns.values()))) - 1, 1))
+    return {path: shortened_column(path, column[places]) for path, column in columns.items()}
 
 
-def shortened_column(path: str, first: Any, last: Any) -> list[Any]:
-    """What a path is set to at the two places of its axis."""
+def shortened_column(path: str, values: list[Any]) -> list[Any]:
+    """What a path is set to at the places of its axis."""
     if path == "criterion.after" or path.endswith(".exploration.episode"):
-        return [SWITCH - 2, SWITCH]
+        return [*range(SWITCH - len(values) + 1, SWITCH + 1)]
+    if path == "variables.switch":
+        return [[SWITCH - 1, SWITCH] for _ in values]
     if path == "episodes":
-        return [EPISODES - 2, EPISODES]
+        return [*range(EPISODES - len(values) + 1, EPISODES + 1)]
     if path.startswith("arms.") and ".learners." in path:
-        return [min(first, COPIES), min(last, COPIES)]
-    return [first, last]
+        return [min(value, COPIES) for value in values]
+    return values
 
 
 def played_by_hand(arm: ArmPlan, run: RunPlan) -> Ensemble:
