@@ -154,9 +154,13 @@ class ActingFloor:
     ----------
     steps:
         ρ, at most 1 / learners.
+    after:
+        Environment steps of the run before there is a floor: while a learner still acts at random, its own episodes cost
+        much and teach it little.
     """
 
     steps: float = Field(gt=0.0, le=1.0, strict=True)
+    after: int = Field(default=0, ge=0, strict=True)
 
 
 @dataclass(frozen=True)
@@ -182,3 +186,8 @@ class SelectorConfig:
     def floor(self) -> float:
         """The share of the steps that each learner plays at least; 0 where nobody asks for it."""
         return 0.0 if self.acting_floor is None else self.acting_floor.steps
+
+    @property
+    def floor_after(self) -> int:
+        """The environment steps before there is one."""
+        return 0 if self.acting_floor is None else self.acting_floor.after

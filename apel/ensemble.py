@@ -117,6 +117,7 @@ class Ensemble:
             [seed],
             [world.info],
             floor=0.0 if acting_floor is None else acting_floor.steps,
+            floor_after=0 if acting_floor is None else acting_floor.after,
         )
 
     @property

@@ -47,6 +47,7 @@ def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -
         stops_when_met=shard.arm.stops_when_met,
         steady_state_episodes=shard.arm.steady_state_episodes,
         floor=shard.arm.selector.floor,
+        floor_after=shard.arm.selector.floor_after,
         pause_every=shard.pause_every,
     )
 

@@ -40,7 +40,7 @@ def trained_agent(
 ) -> AgentContent:
     """The agent that a run of a book has come to. The best learner is told by what its selector thinks of each."""
     row, floor = book.selector_state[run].copy(), None
-    if book.floor > 0.0:
+    if book.floor > 0.0 and book.steps[run] >= book.floor_after:
         known = (book.acting_steps[run], book.acting_length[run], book.floor_stream[run])
         floor = TrainedFloor(float(book.floor), *(column.copy() for column in known))
         if book.status[run] == RUNNING:

@@ -8,7 +8,7 @@ different learners differ in length; hence
     φ_i = (ρ Λ + max(0, ρ T − S_i) / H) / L_i,
 
 with the mean lengths L_i of the learner's episodes and Λ of all, both weighted towards the latest, T the steps played
-so far and S_i the learner's own: where lengths change faster than their means, what it lacks is made up for within the
+so far (since there is a floor) and S_i the learner's own: where lengths change faster than their means, what it lacks is made up for within the
 next H episodes.
 """
 
@@ -59,9 +59,8 @@ def under_floor(
 
 
 @njit
-def take_in_length(learner: int, episode_length: int, steps: NDArray[np.int64], length: NDArray[np.float64]) -> None:
-    """Count an episode of ``learner`` in ``steps`` and ``length``, in place."""
-    steps[learner] += episode_length
-    for place in (learner, steps.shape[0]):
+def take_in_length(learner: int, episode_length: int, length: NDArray[np.float64]) -> None:
+    """Count an episode of ``learner`` in ``length``, in place."""
+    for place in (learner, length.shape[0] - 1):
         weight = _NEWEST if length[place] > 0.0 else 1.0
         length[place] += weight * (episode_length - length[place])

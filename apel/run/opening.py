@@ -27,6 +27,7 @@ def open_book(
     stops_when_met: bool = True,
     steady_state_episodes: int = 0,
     floor: float = 0.0,
+    floor_after: int = 0,
     pause_every: int = 0,
 ) -> Book:
     """The book of runs before their first episode; the learner of that episode is already selected.
@@ -34,15 +35,17 @@ def open_book(
     ``run_variables`` were drawn for each run, for a criterion that names one of them.
     A run ends after ``num_episodes``, or with the episode in which its steps reach ``num_steps``.
     ``steady_state_episodes`` is over how many episodes before the cap the steady state is measured. ``floor`` is the
-    least share of the steps that each of several learners plays; for ``pause_every`` see `Book`.
+    least share of the steps that each of several learners plays once the run has ``floor_after``; for ``pause_every``
+    see `Book`.
 
     Raises
     ------
     ValueError
         If there is no learner or no episode, if the selector names a learner that does not exist, if the criterion
-        counts too few episodes to be met, or if the floor is too high for so many learners.
+        counts too few episodes to be met, or if the floor cannot be kept, see `check_floor`.
     """
-    _check_counts(num_learners, num_episodes, floor)
+    _check_counts(num_learners, num_episodes)
+    check_floor(floor, floor_after, num_learners, num_steps)
     criteria = _criteria(criterion, run_variables or [{}] * len(run_seeds), num_episodes)
     num_runs = len(run_seeds)
     window = criterion.window if criterion else 1
@@ -67,6 +70,7 @@ def open_book(
         acting_length=np.zeros((num_runs, num_learners + 1)),
         wanted=np.zeros((num_runs, num_learners)),
         floor=floor if num_learners > 1 else 0.0,
+        floor_after=floor_after,
         num_learners=num_learners,
         num_episodes=num_episodes,
         num_steps=ANY_STEPS if num_steps is None else num_steps,
@@ -109,15 +113,15 @@ def _criteria(
     return [*criteria]
 
 
-def _check_counts(num_learners: int, num_episodes: int, floor: float) -> None:
+def _check_counts(num_learners: int, num_episodes: int) -> None:
     if num_learners < 1 or num_episodes < 1:
         message = f"found {num_learners} learners and {num_episodes} episodes, expected at least one of each"
         raise ValueError(message)
-    check_floor(floor, num_learners)
 
 
-def check_floor(floor: float, num_learners: int) -> None:
-    """See that there are enough steps for so many learners to play the share ``floor`` each.
+def check_floor(floor: float, floor_after: int, num_learners: int, num_steps: int | None) -> None:
+    """See that there are enough steps for so many learners to play the share ``floor`` each, and any after
+    ``floor_after``.
 
     Raises
     ------
@@ -127,4 +131,7 @@ def check_floor(floor: float, num_learners: int) -> None:
     if floor * num_learners > 1.0:
         most = f"at most {1.0 / num_learners:.3g}"
         message = f"acting_floor: found {floor:g} of the steps for each of {num_learners} learners, expected {most}"
+        raise ValueError(message)
+    if num_steps is not None and floor_after >= num_steps:
+        message = f"acting_floor: after: found {floor_after}, expected less than the {num_steps} steps of a run"
         raise ValueError(message)

@@ -65,6 +65,8 @@ class Book(NamedTuple):
     """``float64[R, learners]``: the selector's own probabilities, where those of its state are raised to a floor."""
     floor: float
     """The least share of the steps that each learner plays; 0 where nobody asks for it."""
+    floor_after: int
+    """Steps of a run before it has a floor; those are not counted in ``acting_steps``."""
     num_learners: int
     num_episodes: int
     num_steps: int
@@ -83,6 +85,8 @@ def bad_selection_message(book: Book, run: int) -> str:
 def raise_to_floor(book: Book, run: int) -> None:
     """Let one play that the selector did not choose, where it is its turn."""
     book.wanted[run] = book.selector_state[run, : book.num_learners]
+    if book.steps[run] < book.floor_after:
+        return
     book.learner[run] = under_floor(
         book.floor,
         book.learner[run],
@@ -119,9 +123,11 @@ def advance(
     if met and book.train_time[run] < 0:
         book.train_time[run] = episode + 1
     book.episode[run] = episode + 1
-    book.steps[run] += length
     if book.floor > 0.0:
-        take_in_length(book.learner[run], length, book.acting_steps[run], book.acting_length[run])
+        take_in_length(book.learner[run], length, book.acting_length[run])
+        if book.steps[run] >= book.floor_after:
+            book.acting_steps[run, book.learner[run]] += length
+    book.steps[run] += length
     if episode >= book.late_from:
         book.late_return[run] += episode_return
     is_over = episode + 1 >= book.num_episodes or book.steps[run] >= book.num_steps

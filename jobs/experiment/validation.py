@@ -131,7 +131,7 @@ def _check_run(trial: Trial, arm_point: ArmPoint, index: int, seed: int) -> None
             _try_learner(trial, run, world, position, plan, selector)
         place = ("arms", arm, "selector")
         _try_selector(trial, run, plan, selector)
-        check_floor(plan.selector.floor, len(run.learners))
+        check_floor(plan.selector.floor, plan.selector.floor_after, len(run.learners), plan.num_steps)
         place = ("criterion",)
         _try_book(trial, run, world, plan, selector)
     except BaseException as error:
@@ -181,8 +181,7 @@ def _try_book(trial: Trial, run: RunPlan, world: World, plan: ArmPlan, selector:
     criterion = plan.criterion and plan.criterion.of_run(run.variables)
     if trial.wants(kind, criterion, plan.selector, len(run.learners), plan.num_episodes, sorted(world.info)):
         with trial.building(kind):
-            floor = plan.selector.floor
-            open_book(selector, len(run.learners), plan.num_episodes, criterion, [run.seed], [world.info], floor=floor)
+            open_book(selector, len(run.learners), plan.num_episodes, criterion, [run.seed], [world.info])
 
 
 def _cheap(config: LearnerConfig) -> LearnerConfig:

@@ -178,6 +178,18 @@ def test_floor(tmp_path: Path) -> None:
     np.testing.assert_array_equal(greedy, found.of("first", "greedy").episode_return)
 
 
+def test_floor_to_come() -> None:
+    """Where the floor has not begun, the selector's word counts in the agent as it did in the run."""
+    learners = [LEARNERS["q_learning"][1], LEARNERS["dyna_q"][1]]
+    floor = apel.ActingFloor(0.3, after=10**6)
+    ensemble = apel.Ensemble(apel.make_world(MAZE, run_seed=3), learners, apel.Fixed(), 3, 99, acting_floor=floor)
+    for _ in range(5):
+        ensemble.run_episode()
+    selector = ensemble.agent(MAZE, ["first", "other"]).content.selector
+    assert selector.floor is None
+    assert selector.row[:2].tolist() == [1.0, 0.0]
+
+
 def test_evaluation(both: Path) -> None:
     """All play the same episodes, the same ones every time; the ensemble's are those of whom the selector picks."""
     agent = apel.load(both)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -112,3 +114,30 @@ def test_more_than_there_is() -> None:
         ValueError, match=r"acting_floor: found 0.5 of the steps for each of 3 learners, expected at most 0.333"
     ):
         opened(Fixed(), 3, 0.5)
+
+
+@pytest.mark.parametrize("make", [Apel, lambda: PlainSelector(Apel())])
+def test_begins_after_so_many_steps(make: Callable[[], Selector]) -> None:
+    """Until the run has ``after`` steps everything is as without a floor; from then on it is one of the rest of the
+    run, which asks nobody to make up for what was before.
+    """
+    free, late = (open_book(make(), 2, EPISODES, None, [1], [{}], floor=rho, floor_after=3000) for rho in (0.0, 0.25))
+    books = {"free": free, "late": late}
+    for _ in range(300):
+        assert late.learner[0] == free.learner[0]
+        np.testing.assert_array_equal(late.selector_state, free.selector_state)
+        for book in books.values():
+            advance_run(book, make(), 0, 10, 1.0, float(book.learner[0] == 0), 0.0)
+    assert late.acting_steps.sum() == 0
+    probability, _, _ = common_blocks(late.selector_state[0], 2)
+    assert probability[1] >= 0.25 - 1e-12
+    while late.status[0] == RUNNING:
+        advance_run(late, make(), 0, 10, 1.0, float(late.learner[0] == 0), 0.0)
+    assert late.acting_steps.sum() == 7000
+    assert 0.24 <= late.acting_steps[0, 1] / 7000 <= 0.30
+
+
+def test_begins_after_the_end() -> None:
+    """A floor that never comes is a mistake."""
+    with pytest.raises(ValueError, match="acting_floor: after: found 500, expected less than the 500 steps of a run"):
+        open_book(Fixed(), 2, EPISODES, None, [1], [{}], num_steps=500, floor=0.1, floor_after=500)

@@ -37,6 +37,7 @@ BAD_FIELDS = {
         "arms.APEL.selector.acting_floor={steps: true}",
         "steps: found True, expected a number",
     ),
+    "a floor that was": ("arms.APEL.selector.acting_floor={steps: 0.1, after: -1}", "after: found -1, expected"),
     "a floor of nothing": ("arms.APEL.selector.acting_floor={steps: 0}", "acting_floor"),
     "a floor of episodes": ("arms.APEL.selector.acting_floor={episodes: 0.1}", "acting_floor"),
     "unknown field": ("episodse=3", "episodse: found a field that does not exist here"),
