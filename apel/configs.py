@@ -155,8 +155,8 @@ class ActingFloor:
     steps:
         ρ, at most 1 / learners.
     after:
-        Environment steps of the run before there is a floor: while a learner still acts at random, its own episodes cost
-        much and teach it little.
+        Environment steps of the run before there is a floor: while a learner still acts at random, its own episodes
+        cost much and teach it little.
     """
 
     steps: float = Field(gt=0.0, le=1.0, strict=True)

@@ -8,8 +8,8 @@ different learners differ in length; hence
     φ_i = (ρ Λ + max(0, ρ T − S_i) / H) / L_i,
 
 with the mean lengths L_i of the learner's episodes and Λ of all, both weighted towards the latest, T the steps played
-so far (since there is a floor) and S_i the learner's own: where lengths change faster than their means, what it lacks is made up for within the
-next H episodes.
+since there is a floor and S_i the learner's own of these: where lengths change faster than their means, what it lacks
+is made up for within the next H episodes.
 """
 
 from __future__ import annotations

@@ -13,10 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from apel.theory.chains import Chains, Floats, make_chains
 from apel.theory.ranges import require_decay, require_fraction, require_learners, require_positive
@@ -27,7 +29,7 @@ LEAST_DECAY = 5e-4
 _NUM_CHAINS = 1000
 # In units of 1/ν, the time in which a concentration is forgotten.
 _SETTLING, _MEASURED, _LONGEST = 12.0, 8.0, 40.0
-_HALVINGS = 14
+_STEP = 4.0
 
 
 @dataclass(frozen=True)
@@ -187,20 +189,25 @@ def decay_for(measure: Callable[[float], float], wanted: float, num_learners: in
         If no such ν gives it.
     """
     require_positive("wanted", wanted)
-    low, high = LEAST_DECAY, 1.0 / (num_learners + 1)
-    ends = measure(low), measure(high)
-    if not min(ends) <= wanted <= max(ends):
+    lowest, highest = math.log(LEAST_DECAY), -math.log(num_learners + 1)
+
+    @cache
+    def excess(log: float) -> float:
+        found = measure(math.exp(log))
+        return (found / wanted if rising else wanted / found) - 1.0  # of times, which may be infinite, the inverse
+
+    # From above, since simulations take the longer the smaller ν is.
+    below = above = highest
+    while excess(below) > 0.0 and below > lowest:
+        below, above = max(below - math.log(_STEP), lowest), below
+    if excess(below) * excess(above) > 0.0:
+        ends = [measure(math.exp(log)) for log in (lowest, highest)]
         message = (
-            f"found {wanted:g}, expected {min(ends):.4g} to {max(ends):.4g}, from ν = {LEAST_DECAY:g} to {high:.4g}"
+            f"found {wanted:g}, expected {min(ends):.4g} to {max(ends):.4g}, from ν = {LEAST_DECAY:g} to "
+            f"{math.exp(highest):.4g}"
         )
         raise ValueError(message)
-    for _ in range(_HALVINGS):
-        middle = math.sqrt(low * high)
-        if (measure(middle) < wanted) == rising:
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(low * high)
+    return math.exp(scipy.optimize.brentq(excess, below, above, xtol=1e-3))
 
 
 def _begun(nu: float, ensemble: Noisy) -> Chains:
