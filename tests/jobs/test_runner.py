@@ -187,15 +187,17 @@ def test_failed_run_is_named(small: Path, tmp_path: Path, capsys: pytest.Capture
     assert "Traceback" not in error
 
 
-@pytest.mark.ray
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(
+    ("name", "placement"), [pytest.param("SIGINT", "actors", marks=pytest.mark.ray), ("SIGTERM", "local")]
+)
 def test_interrupted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, placement: str
 ) -> None:
     """An interrupted job ends with 130, leaves no process, and the same command completes it."""
     slow = write_slow(tmp_path)
     command = ["run", "slow.yaml", "--results", "results", "--set", "episodes=20", "--runs", "40", "--shard-size", "1"]
-    here = [sys.executable, "-m", "jobs", *command, "--cpus", "2"]
+    here = [sys.executable, "-m", "jobs", *command, "--placement", placement]
+    here += ["--cpus", "2"] if placement == "actors" else []
     pipe = subprocess.PIPE
     with started(here, cwd=tmp_path, stdout=pipe, stderr=pipe) as job:
         deadline = time.monotonic() + 600
