@@ -16,7 +16,7 @@ from apel.learners.deep.deep_learner import COPY, UPDATE, Algorithm, BatchedDeep
 from apel.learners.deep.dqn_options import DqnOptions
 from apel.learners.deep.draws import Streams, draw_epsilon_greedy
 from apel.learners.deep.encoding import Coding, Frames, encode_all
-from apel.learners.deep.engines import ACTING, ONLINE, OTHER, descend, evaluate, follow, predict
+from apel.learners.deep.engines import ACTING, ONLINE, OTHER, descend, evaluate, evaluate_both, follow, predict
 from apel.learners.deep.networks import q_network
 from apel.learners.deep.own import own_part
 from apel.learners.deep.prioritised import Priorities, Trees, draw_by_priority, reconsider, welcome
@@ -126,8 +126,8 @@ def update(dqn: DqnArrays, runs: Runs) -> None:
     """One update of the network of each run."""
     batch, size = dqn.batch, dqn.batch.slots.shape[1]
     sample(dqn.core, runs, batch)
-    evaluate(dqn.network, OTHER, runs, size, batch.next_inputs, batch.next_outputs)
-    evaluate(dqn.network, ONLINE if dqn.core.rules.double else OTHER, runs, size, batch.next_inputs, dqn.chooser)
+    choosing = ONLINE if dqn.core.rules.double else OTHER
+    evaluate_both(dqn.network, OTHER, choosing, runs, size, batch.next_inputs, batch.next_outputs, dqn.chooser)
     predict(dqn.network, runs, size, batch.inputs, batch.outputs)
     td_errors(runs.shape[0], batch, dqn.chooser, dqn.core.rules.discount, dqn.errors)
     descend(dqn.network, runs, size, batch.inputs, batch.gradient)

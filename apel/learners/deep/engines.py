@@ -17,12 +17,19 @@ from apel.dynamics.batched_environment import Runs
 from apel.learners.deep import compiled_network
 from apel.learners.deep.compiled_network import ACTING, ONLINE, OTHER, NetworkArrays
 
-__all__ = ["ACTING", "ONLINE", "OTHER", "descend", "evaluate", "follow", "predict"]
+__all__ = ["ACTING", "ONLINE", "OTHER", "descend", "evaluate", "evaluate_both", "follow", "predict"]
 
 
 def evaluate(network: Any, which: int, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
     """Write the outputs of one of each run's networks: the one that learns, the other one, or the one that acts."""
     network.evaluate(which, runs, count, inputs, outputs)
+
+
+def evaluate_both(
+    network: Any, one: int, other: int, runs: Runs, count: int, inputs: Any, outputs: Any, other_outputs: Any
+) -> None:
+    """Write the outputs of two of each run's networks for the same inputs, which go to a GPU once."""
+    network.evaluate_both(one, other, runs, count, inputs, outputs, other_outputs)
 
 
 def predict(network: Any, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
@@ -55,6 +62,20 @@ def _evaluate(network: Any, which: Any, runs: Any, count: Any, inputs: Any, outp
     return lambda network, which, runs, count, inputs, outputs: compiled_network.evaluate(
         network, which, runs, count, inputs, outputs
     )
+
+
+@overload(evaluate_both, strict=False)
+def _evaluate_both(
+    network: Any, one: Any, other: Any, runs: Any, count: Any, inputs: Any, outputs: Any, other_outputs: Any
+) -> Any:
+    if not _is_compiled(network):
+        return None
+
+    def compiled(network, one, other, runs, count, inputs, outputs, other_outputs):  # type: ignore[no-untyped-def]
+        compiled_network.evaluate(network, one, runs, count, inputs, outputs)
+        compiled_network.evaluate(network, other, runs, count, inputs, other_outputs)
+
+    return compiled
 
 
 @overload(predict, strict=False)

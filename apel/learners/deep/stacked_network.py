@@ -71,13 +71,25 @@ class StackedNetwork:
 
     def evaluate(self, which: int, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
         """See `apel.learners.deep.engines`; more runs than lanes come in several calls."""
+        self._evaluate({which: outputs}, runs, count, inputs)
+
+    def evaluate_both(
+        self, one: int, other: int, runs: Runs, count: int, inputs: Any, outputs: Any, other_outputs: Any
+    ) -> None:
+        """See `apel.learners.deep.engines`."""
+        self._evaluate({one: outputs, other: other_outputs}, runs, count, inputs)
+        if one == other:
+            outputs[: len(runs), :count] = other_outputs[: len(runs), :count]
+
+    def _evaluate(self, wanted: dict[int, Any], runs: Runs, count: int, inputs: Any) -> None:
         start = 0
         with torch.no_grad():
             for one_call in self.calls(runs):
                 chosen = slice(start, start + len(one_call))
-                rows = self._chosen(which, one_call)
-                found = self.values(rows, self._rows.tensor(inputs[chosen, :count]))
-                outputs[chosen, :count] = found[: len(one_call)].cpu().numpy()
+                given = self._rows.tensor(inputs[chosen, :count])
+                for which, outputs in wanted.items():
+                    found = self.values(self._chosen(which, one_call), given)
+                    outputs[chosen, :count] = found[: len(one_call)].cpu().numpy()
                 start += len(one_call)
 
     def predict(self, runs: Runs, count: int, inputs: Any, outputs: Any) -> None:
