@@ -18,7 +18,7 @@ from apel.dynamics.batched_environment import Runs
 from apel.learners.banks.batched_learner import NO_ERRORS, Transitions
 from apel.learners.base import State
 from apel.learners.deep.compiled_network import CompiledNetwork, Descent
-from apel.learners.deep.devices import is_compiled_for
+from apel.learners.deep.devices import is_compiled_for, quick_to_reach
 from apel.learners.deep.draws import Streams
 from apel.learners.deep.encoding import Encoder, Frames, encode_all
 from apel.learners.deep.engines import ACTING, evaluate, follow
@@ -213,11 +213,13 @@ class BatchedDeepLearner:
     def _looking(self, num_outputs: int) -> Looking:
         shape = self.num_runs, 1
         inputs = np.zeros((*shape, int(np.prod(self.encoder.shape))), dtype=np.float32)
-        return Looking(inputs, np.zeros((*shape, num_outputs), dtype=np.float32))
+        return Looking(quick_to_reach(self.options.device, inputs), np.zeros((*shape, num_outputs), dtype=np.float32))
 
     def _minibatch(self, num_outputs: int) -> Minibatch:
         rows = 1 if self.is_alone else self.num_runs
-        return Minibatch.empty(rows, self.options.batch_size, int(np.prod(self.encoder.shape)), num_outputs)
+        batch = Minibatch.empty(rows, self.options.batch_size, int(np.prod(self.encoder.shape)), num_outputs)
+        inputs, next_inputs = (quick_to_reach(self.options.device, one) for one in (batch.inputs, batch.next_inputs))
+        return batch._replace(inputs=inputs, next_inputs=next_inputs)
 
     def _read(self, **options: Any) -> Any:
         """The options."""
