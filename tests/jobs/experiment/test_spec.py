@@ -88,6 +88,7 @@ IDENTITIES = {
     "voting-curves": "d433bb6e9991",
     "breakout-minatar": "00831eabe4b8",
     "breakout-minatar-repaired": "303a3483aa33",
+    "breakout-minatar-later-floor": "91003a690138",
     "cartpole-learners": "18212ad368b8",
     "ceiling-ties": "4fcf293a8df0",
     "lunar-lander-continuous": "5eb417571c2d",
