@@ -160,7 +160,7 @@ class ActingFloor:
     """
 
     steps: float = Field(gt=0.0, le=1.0, strict=True)
-    after: int = Field(default=0, ge=0, strict=True)
+    after: int = Field(default=0, ge=0, le=10**15, strict=True)
 
 
 @dataclass(frozen=True)

@@ -189,23 +189,25 @@ def decay_for(measure: Callable[[float], float], wanted: float, num_learners: in
         If no such ν gives it.
     """
     require_positive("wanted", wanted)
-    lowest, highest = math.log(LEAST_DECAY), -math.log(num_learners + 1)
+    ends = LEAST_DECAY, 1.0 / (num_learners + 1)
+    lowest, highest = map(math.log, ends)
+    exactly = dict(zip((lowest, highest), ends, strict=True))
 
     @cache
+    def found_at(log: float) -> float:
+        return measure(exactly.get(log, math.exp(log)))
+
     def excess(log: float) -> float:
-        found = measure(math.exp(log))
-        return (found / wanted if rising else wanted / found) - 1.0  # of times, which may be infinite, the inverse
+        relative = found_at(log) / wanted - 1.0
+        return relative if rising else max(-relative, -1.0)  # times may be infinite
 
     # From above, since simulations take the longer the smaller ν is.
     below = above = highest
     while excess(below) > 0.0 and below > lowest:
         below, above = max(below - math.log(_STEP), lowest), below
     if excess(below) * excess(above) > 0.0:
-        ends = [measure(math.exp(log)) for log in (lowest, highest)]
-        message = (
-            f"found {wanted:g}, expected {min(ends):.4g} to {max(ends):.4g}, from ν = {LEAST_DECAY:g} to "
-            f"{math.exp(highest):.4g}"
-        )
+        least, most = sorted(map(found_at, (lowest, highest)))
+        message = f"found {wanted:g}, expected {least:.4g} to {most:.4g}, from ν = {ends[0]:g} to {ends[1]:.4g}"
         raise ValueError(message)
     return math.exp(scipy.optimize.brentq(excess, below, above, xtol=1e-3))
 

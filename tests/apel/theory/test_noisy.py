@@ -101,6 +101,25 @@ def test_decay_that_is_wanted() -> None:
         decay_for(explored, 0.05, 3, rising=True)
 
 
+def test_decay_by_any_measure() -> None:
+    """Of a measure known by formula: from infinite, to zero, to negative ones, and to either end of the range; once
+    at 0.1 the largest ν for n = 9.
+    """
+    for measure, wanted, nu in (
+        (lambda nu: 3.0 / nu if nu > 0.01 else math.inf, 100.0, 0.03),
+        (lambda nu: 1.0 / nu - 10.0, 40.0, 0.02),  # 0 at the top
+        (lambda nu: 1.0 - 20.0 * nu, 0.5, 0.025),  # −1 there
+        (lambda nu: 3.0 / nu, 3.0 / LEAST_DECAY, LEAST_DECAY),
+        (lambda nu: 3.0 / nu, 30.0, 0.1),
+    ):
+        assert decay_for(measure, wanted, 9, rising=False) == pytest.approx(nu, rel=2e-3)
+    assert decay_for(lambda nu: 2.0 * nu, 0.01, 9, rising=True) == pytest.approx(0.005, rel=2e-3)
+    with pytest.raises(ValueError, match=r"found 29, expected 30 to 6000, from ν = 0\.0005 to 0\.1"):
+        decay_for(lambda nu: 3.0 / nu, 29.0, 9, rising=False)
+    with pytest.raises(ValueError, match=r"found 0\.3, expected 0\.001 to 0\.2, from ν = 0\.0005 to 0\.1"):
+        decay_for(lambda nu: 2.0 * nu, 0.3, 9, rising=True)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

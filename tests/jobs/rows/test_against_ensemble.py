@@ -44,19 +44,19 @@ def shortened(name: str) -> Experiment:
     """A shipped experiment that takes a second."""
     content = yaml.safe_load(shipped_experiments()[name])
     content |= {"runs": RUNS, "episodes": EPISODES, "record": "all"}
-    if "variables" in content:
-        content["variables"] |= {"switch": [SWITCH - 1, SWITCH]}
+    if "switch" in content.get("variables", {}):
+        content["variables"]["switch"] = [SWITCH - 1, SWITCH]
     options = content["environment"]["options"]
     options |= {"size": 5, "max_steps": 30}
     options.pop("optimal_length", None)
     if "criterion" in content:
         content["criterion"] |= {"window": 3, "below": content["criterion"]["below"] | {"factor": 2.5}}
-        if "after" in content["criterion"]:
+        if isinstance(content["criterion"].get("after"), int):
             content["criterion"]["after"] = SWITCH
     if "steady_state_episodes" in content:
         content["steady_state_episodes"] = 4
     for learner in content["learners"].values():
-        if isinstance(learner.get("exploration"), dict):
+        if isinstance(learner.get("exploration"), dict) and isinstance(learner["exploration"]["episode"], int):
             learner["exploration"]["episode"] = SWITCH
     for arm in content["arms"].values():
         if isinstance(arm["learners"], dict):
@@ -94,7 +94,7 @@ def played_by_hand(arm: ArmPlan, run: RunPlan) -> Ensemble:
         run.seed,
         arm.num_episodes,
         performance=arm.performance,
-        criterion=arm.criterion if arm.stops_when_met else None,
+        criterion=arm.criterion.of_run(run.variables) if arm.criterion and arm.stops_when_met else None,
     )
 
 

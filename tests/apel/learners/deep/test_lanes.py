@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from apel.learners.deep.compiled_network import ACTING, Descent
+from apel.learners.deep.compiled_network import ACTING, ONLINE, OTHER, Descent
 from apel.learners.deep.initialisers import zeros
 from apel.learners.deep.networks import Convolution, NetworkOptions, q_network
 from apel.learners.deep.stacked_network import StackedNetwork, _convolve
@@ -50,6 +50,22 @@ def learnt(lanes: int) -> dict[str, Any]:
     network.evaluate(ACTING, runs_of(0, 1, 2, 3, 4), 1, x, found)
     state = network.state()
     return {"found": found[:, :1], "online": state["online"], "other": state["other"], **state["adam"]}
+
+
+@pytest.mark.parametrize(("one", "other"), [(OTHER, ONLINE), (OTHER, OTHER)])
+def test_two_networks_on_the_same_inputs(one: int, other: int) -> None:
+    """What each of them gives by itself, where more runs come than a call has lanes."""
+    network = StackedNetwork(IMAGES, range(5), Descent(1e-2, 1e-5), "cpu", 2, has_other=True)
+    runs, x = runs_of(0, 2, 4), np.random.default_rng(1).random((3, BATCH, 3 * 7 * 6), dtype=np.float32)
+    found, expected = (np.zeros((2, 3, BATCH, 2), dtype=np.float32) for _ in range(2))
+    for each in network.calls(runs):
+        network.predict(each, BATCH, x, found[0])
+        network.descend(each, BATCH, x, np.ones_like(found[0]))
+    network.evaluate_both(one, other, runs, BATCH, x, *found)
+    for which, outputs in zip((one, other), expected, strict=True):
+        network.evaluate(which, runs, BATCH, x, outputs)
+    np.testing.assert_array_equal(found, expected)
+    assert (found[0] == found[1]).all() == (one == other)
 
 
 @pytest.mark.parametrize("lanes", [1, 3, 8])
