@@ -1,9 +1,9 @@
 """Which tests stay together where several processes share them out (``make test``), and which are begun first.
 
-A group is played in order by one process. All that needs a Ray makes two of them: the first is begun first, the second
-last, by the process that has played all the rest, so that there are two Rays at once only where nothing else computes;
-two cores do not carry more. Every other module is a group by itself, so that what it prepares is prepared once; those
-with the most tests come first, so that no long one is left for the end.
+A group is played in order by one process. All that needs a Ray makes three of them: the first is begun first, the
+others last, side by side, so that there are two Rays at once only where nothing else computes; two cores do not carry
+more. Every other module is a group by itself, so that what it prepares is prepared once; those with the most tests
+come first, so that no long one is left for the end.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from __future__ import annotations
 import pytest
 
 _KINDS = ("session", "own", "soak", "guide", "head")
-_FIRST, _LAST = "ray", "ray, last"
-_LATE_KINDS = ("guide", "head")
+_FIRST = "ray"
+_LAST = {"head": "ray, head", "guide": "ray, guide"}
 
 
 def kind_of(item: pytest.Item) -> str | None:
@@ -32,7 +32,7 @@ def group_of(item: pytest.Item) -> str:
     kind = kind_of(item)
     if kind is None:
         return item.nodeid.partition("::")[0]
-    return _LAST if kind in _LATE_KINDS else _FIRST
+    return _LAST.get(kind, _FIRST)
 
 
 def share_out(items: list[pytest.Item]) -> None:
@@ -41,8 +41,9 @@ def share_out(items: list[pytest.Item]) -> None:
     for item in items:
         groups.setdefault(group_of(item), []).append(item)
     items.clear()
-    for name in sorted(groups, key=lambda name: (name == _LAST, name != _FIRST, -len(groups[name]), name)):
-        if name in (_FIRST, _LAST):
+    last = list(_LAST.values())
+    for name in sorted(groups, key=lambda name: (name in last, name != _FIRST, -len(groups[name]), name)):
+        if name == _FIRST:
             groups[name].sort(key=lambda item: _KINDS.index(kind_of(item) or ""))
         for item in groups[name]:
             item.add_marker(pytest.mark.xdist_group(name))

@@ -1,4 +1,4 @@
-"""Tests that need a Ray are two groups, one begun first and one last, each with one Ray after the other."""
+"""Tests that need a Ray are three groups, one begun first and two last, each with one Ray after the other."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_order() -> None:
         ("test_two", "tests/jobs/test_a.py"),
         ("test_unit", "tests/cluster/test_b.py"),
         ("test_links", "tests/test_guide.py"),
-        ("test_page[4]", "ray, last"),
-        ("test_submit", "ray, last"),
+        ("test_page[4]", "ray, guide"),
+        ("test_submit", "ray, head"),
     ]
 
 
