@@ -8,6 +8,8 @@ STAMP := .venv/.installed
 # that are installed takes a minute and more; Python compiles those that it imports.
 SERVICE := .venv/.service
 DOCS := .venv/.docs
+# Images for containers like to set it: then every process would compile all that it imports anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run test check lint spelling types doctests docs links format bench mutation clean
 .DEFAULT_GOAL := run
