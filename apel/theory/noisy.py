@@ -189,27 +189,22 @@ def decay_for(measure: Callable[[float], float], wanted: float, num_learners: in
         If no such ν gives it.
     """
     require_positive("wanted", wanted)
-    ends = LEAST_DECAY, 1.0 / (num_learners + 1)
-    lowest, highest = map(math.log, ends)
-    exactly = dict(zip((lowest, highest), ends, strict=True))
+    lowest, highest = LEAST_DECAY, 1.0 / (num_learners + 1)
+    found_at = cache(measure)
 
-    @cache
-    def found_at(log: float) -> float:
-        return measure(exactly.get(log, math.exp(log)))
-
-    def excess(log: float) -> float:
-        relative = found_at(log) / wanted - 1.0
+    def excess(nu: float) -> float:
+        relative = found_at(nu) / wanted - 1.0
         return relative if rising else max(-relative, -1.0)  # times may be infinite
 
     # From above, since simulations take the longer the smaller ν is.
     below = above = highest
     while excess(below) > 0.0 and below > lowest:
-        below, above = max(below - math.log(_STEP), lowest), below
+        below, above = max(below / _STEP, lowest), below
     if excess(below) * excess(above) > 0.0:
         least, most = sorted(map(found_at, (lowest, highest)))
-        message = f"found {wanted:g}, expected {least:.4g} to {most:.4g}, from ν = {ends[0]:g} to {ends[1]:.4g}"
+        message = f"found {wanted:g}, expected {least:.4g} to {most:.4g}, from ν = {lowest:g} to {highest:.4g}"
         raise ValueError(message)
-    return math.exp(scipy.optimize.brentq(excess, below, above, xtol=1e-3))
+    return float(scipy.optimize.brentq(excess, below, above, rtol=1e-3))
 
 
 def _begun(nu: float, ensemble: Noisy) -> Chains:
