@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import pytest
 
-_KINDS = ("session", "own", "soak", "guide", "head")
-_FIRST = "ray"
+_FIRST, _KINDS = "ray", ("session", "own", "soak")
 _LAST = {"head": "ray, head", "guide": "ray, guide"}
 
 
