@@ -162,5 +162,5 @@ def _recorded(store: ResultStore, scene: Scene) -> pa.Table:
     stored = read_episodes(store.folder, scene.arm.arm, wanted, scene.arm.sweep, is_verified=False)
     if stored is None:
         return pa.table({name: np.zeros(0, dtype=np.int64) for name in columns})
-    is_wanted = (pc.field("run_index") == scene.run.index) & (pc.field("episode") <= scene.episode)
-    return stored.filter(is_wanted).select(columns)
+    is_run = pc.equal(stored["run_index"], scene.run.index)
+    return stored.filter(pc.and_(is_run, pc.less_equal(stored["episode"], scene.episode))).select(columns)

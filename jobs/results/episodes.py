@@ -51,7 +51,7 @@ def read_episodes(
         if pa.types.is_list(table.schema.field(name).type) and len(pc.list_value_length(table[name]).unique()) > 1:
             message = f"{folder.location(f'episodes/arm={arm}')}: column {name!r}: found lists of several lengths"
             raise StoreError(message)
-    count = table.group_by(_KEY).aggregate([([], "count_all")])["count_all"]
+    count = table.group_by(_KEY, use_threads=False).aggregate([([], "count_all")])["count_all"]
     if len(count) < len(table):
         place = folder.location(f"episodes/arm={arm}")
         message = f"{place}: found {len(table) - len(count)} episodes twice, expected every one once"

@@ -88,7 +88,9 @@ def parse_table(content: bytes, columns: list[str] | None = None) -> pa.Table:
         If they are none, or some of the columns are missing.
     """
     try:
-        table = pq.ParquetFile(pa.BufferReader(content)).read(columns)
+        # A thread of Arrow's may still hold `content` when this returns; where that is a process's last act, it asks an
+        # interpreter that has ended for its lock, and the process aborts (apache/arrow#34314) or hangs (#50482).
+        table = pq.ParquetFile(pa.BufferReader(content)).read(columns, use_threads=False)
         # Text that is no UTF-8 is found here, or by whoever looks at it.
         table.validate(full=True)
         missing = [name for name in columns or () if name not in table.column_names]

@@ -73,8 +73,8 @@ def check_once(table: pa.Table) -> None:
     DamageError
         The message says which.
     """
-    counted = table.group_by(list(RUN_KEY)).aggregate([([], "count_all")])
-    for row in counted.filter(pc.field("count_all") > 1).slice(length=1).to_pylist():
+    counted = table.group_by(list(RUN_KEY), use_threads=False).aggregate([([], "count_all")])
+    for row in counted.filter(pc.greater(counted["count_all"], 1)).slice(length=1).to_pylist():
         message = f"found run {row['run_index']} of {row['arm']!r} {row['count_all']} times, expected it once"
         raise DamageError(message)
 

@@ -75,8 +75,8 @@ def _switch_delays(
 
 def _means_over_windows(folder: Folder, arm: str, selection: Selection) -> Any:
     first, last = selection.windows[0][0], selection.windows[-1][1]
-    within = (pc.field("episode") >= first) & (pc.field("episode") <= last)
-    frame = _read(folder, arm, selection, ["episode"], within)
+    frame = _read(folder, arm, selection, ["episode"])
+    frame = frame[frame["episode"].between(first, last)]
     starts, ends = _edges(selection.windows)
     window = np.searchsorted(starts, frame["episode"].to_numpy(), side="right") - 1
     return _means(frame, WINDOW, starts[window], frame["episode"].to_numpy() <= ends[window], selection.metric)
@@ -84,7 +84,7 @@ def _means_over_windows(folder: Folder, arm: str, selection: Selection) -> Any:
 
 def _means_over_parts(folder: Folder, arm: str, selection: Selection) -> Any:
     """Of the episodes that end in a part of the environment steps of their run, ``(from, to]`` of 1."""
-    frame = _read(folder, arm, selection, ["episode", "length"], None).sort_values([*_RUN, "episode"])
+    frame = _read(folder, arm, selection, ["episode", "length"]).sort_values([*_RUN, "episode"])
     by_run = frame.groupby(_RUN, sort=False)
     if (by_run["episode"].transform("max") + 1 != by_run["episode"].transform("size")).any():
         message = f"found runs of {arm} with episodes that were not recorded, expected record: all"
@@ -95,13 +95,11 @@ def _means_over_parts(folder: Folder, arm: str, selection: Selection) -> Any:
     return _means(frame, PART, starts[part], (place > starts[part]) & (place <= ends[part]), selection.metric)
 
 
-def _read(folder: Folder, arm: str, selection: Selection, columns: Sequence[str], within: Any) -> Any:
+def _read(folder: Folder, arm: str, selection: Selection, columns: Sequence[str]) -> Any:
     table = read_episodes(folder, arm, [*_RUN, *columns, selection.metric])
     if table is None:
         message = f"no recorded episodes of {arm}"
         raise MissingError(message)
-    if within is not None:
-        table = table.filter(within)
     if selection.learner is not None:
         place = table.column_names.index(selection.metric)
         table = table.set_column(place, selection.metric, pc.list_element(table[selection.metric], selection.learner))

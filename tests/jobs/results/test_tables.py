@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import enum
 import io
+import subprocess
+import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +55,35 @@ def through_parquet(table: pa.Table) -> pa.Table:
     file = io.BytesIO()
     pq.write_table(table, file)
     return pq.ParquetFile(file).read()
+
+
+THREADS = """
+import io, pathlib
+import pyarrow as pa, pyarrow.parquet as pq
+from jobs.results.labels import parse_table
+from jobs.results.stock import check_once
+names = lambda: sorted(task.joinpath("comm").read_text() for task in pathlib.Path("/proc/self/task").iterdir())
+file = io.BytesIO()
+pq.write_table(pa.table(dict.fromkeys(("arm", "sweep", "run_index"), range(5))), file)
+before = names()
+{reading}
+print(names() == before)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
+@pytest.mark.parametrize(
+    ("reading", "expected"),
+    [
+        ("check_once(parse_table(file.getvalue()))", "True"),
+        ("pq.ParquetFile(pa.BufferReader(file.getvalue())).read()", "False"),  # so that the count can fail
+    ],
+)
+def test_results_are_read_in_the_thread_that_asks(reading: str, expected: str) -> None:
+    """One of Arrow's would hold their bytes for a moment more, and abort a process that ends in it."""
+    program = THREADS.format(reading=reading)
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert said.stdout == f"{expected}\n"
 
 
 class Colour(enum.StrEnum):
