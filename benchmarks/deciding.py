@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=2000)
     repetitions = parser.parse_args().repetitions
     sequential._signs = functools.lru_cache(maxsize=None)(sequential._signs)
-    print("| means | runs | at most | wrong | decided | runs of it |\n|---|---|---|---|---|---|")
+    print("| means | performances | runs at most | wrong | decided | after runs |\n|---|---|---|---|---|---|")
     for means, kind, num_runs in CASES:
         best = set(np.flatnonzero(np.array(means) == max(means)))
         named, wrong = [], 0
