@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from apel.agents import Agent, Evaluation, load
 from apel.building import make_world
-from apel.configs import ActingFloor, EnvironmentConfig, LearnerConfig, OwnShare, SelectorConfig
+from apel.configs import EnvironmentConfig, LearnerConfig, OwnShare, SelectorConfig
 from apel.ensemble import Ensemble, EpisodeRecord
 from apel.environments import World
 from apel.experience.representations import Bins, Representation
@@ -28,6 +28,7 @@ from apel.learners.supported_spaces import SupportedSpaces
 from apel.numerics.seeding import run_seeds
 from apel.run.chooser import Chooser
 from apel.run.criterion import Criterion, Threshold
+from apel.run.floor import ActingFloor
 from apel.run.rule import SelectionRule
 from apel.run.selection import Selector
 from apel.selectors import (

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from apel.experience.representations import Representation
 from apel.experience.spaces import Spaces
+from apel.run.floor import ActingFloor
 
 Named = str | Callable[..., Any]
 """What makes something: its name, or, in a script, the class or function itself."""
@@ -146,23 +147,6 @@ class LearnerConfig:
         return name_of(self.type)
 
 
-@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
-class ActingFloor:
-    """The least share of a run's environment steps that each learner of an ensemble plays.
-
-    Attributes
-    ----------
-    steps:
-        ρ, at most 1 / learners.
-    after:
-        Environment steps of the run before there is a floor: while a learner still acts at random, its own episodes
-        cost much and teach it little.
-    """
-
-    steps: float = Field(gt=0.0, le=1.0, strict=True)
-    after: int = Field(default=0, ge=0, le=10**15, strict=True)
-
-
 @dataclass(frozen=True)
 class SelectorConfig:
     """A selector by registry key, import path, or class, with its options.
@@ -181,13 +165,3 @@ class SelectorConfig:
     def name(self) -> str:
         """Of the kind of selector, in messages."""
         return name_of(self.type)
-
-    @property
-    def floor(self) -> float:
-        """The share of the steps that each learner plays at least; 0 where nobody asks for it."""
-        return 0.0 if self.acting_floor is None else self.acting_floor.steps
-
-    @property
-    def floor_after(self) -> int:
-        """The environment steps before there is one."""
-        return 0 if self.acting_floor is None else self.acting_floor.after

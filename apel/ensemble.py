@@ -16,10 +16,11 @@ from apel.agents import Agent
 from apel.agents.content import TrainedLearner
 from apel.agents.making import selector_config, trained_agent
 from apel.building import bank_of_learners, make_learner, make_performance
-from apel.configs import ActingFloor, EnvironmentConfig, LearnerConfig
+from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import World, environment_list
 from apel.learners.base import StreakLimit
 from apel.run.criterion import Criterion
+from apel.run.floor import ActingFloor
 from apel.run.opening import open_book
 from apel.run.rule import SelectionRule, as_selector
 from apel.run.selection import Selector, common_blocks, freezes_policies
@@ -116,8 +117,7 @@ class Ensemble:
             criterion,
             [seed],
             [world.info],
-            floor=0.0 if acting_floor is None else acting_floor.steps,
-            floor_after=0 if acting_floor is None else acting_floor.after,
+            acting_floor=acting_floor,
         )
 
     @property

@@ -46,8 +46,7 @@ def open_shard_book(shard: Shard, worlds: Sequence[World], selector: Selector) -
         num_steps=shard.arm.num_steps,
         stops_when_met=shard.arm.stops_when_met,
         steady_state_episodes=shard.arm.steady_state_episodes,
-        floor=shard.arm.selector.floor,
-        floor_after=shard.arm.selector.floor_after,
+        acting_floor=shard.arm.selector.acting_floor,
         pause_every=shard.pause_every,
     )
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from apel.numerics.compiled import njit
 from apel.numerics.streams import Stream, categorical, uniform
@@ -24,6 +26,23 @@ _NEWEST = 0.05
 """Weight of the latest length in a mean."""
 _MAKE_UP_EPISODES = 20.0
 """H."""
+
+
+@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class ActingFloor:
+    """The least share of a run's environment steps that each learner of an ensemble plays.
+
+    Attributes
+    ----------
+    steps:
+        ρ, at most 1 / learners.
+    after:
+        Environment steps of the run before there is a floor: while a learner still acts at random, its own episodes
+        cost much and teach it little.
+    """
+
+    steps: float = Field(gt=0.0, le=1.0, strict=True)
+    after: int = Field(default=0, ge=0, le=10**15, strict=True)
 
 
 @njit

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from apel.numerics.seeding import Role, make_stream
 from apel.run.criterion import NO_CRITERION, Criterion
+from apel.run.floor import ActingFloor
 from apel.run.selection import Selector
 from apel.run.state import ANY_STEPS, RUNNING, Book, bad_selection_message, raise_to_floor
 
@@ -26,17 +27,15 @@ def open_book(
     num_steps: int | None = None,
     stops_when_met: bool = True,
     steady_state_episodes: int = 0,
-    floor: float = 0.0,
-    floor_after: int = 0,
+    acting_floor: ActingFloor | None = None,
     pause_every: int = 0,
 ) -> Book:
     """The book of runs before their first episode; the learner of that episode is already selected.
 
     ``run_variables`` were drawn for each run, for a criterion that names one of them.
     A run ends after ``num_episodes``, or with the episode in which its steps reach ``num_steps``.
-    ``steady_state_episodes`` is over how many episodes before the cap the steady state is measured. ``floor`` is the
-    least share of the steps that each of several learners plays once the run has ``floor_after``; for ``pause_every``
-    see `Book`.
+    ``steady_state_episodes`` is over how many episodes before the cap the steady state is measured. For a single
+    learner there is no ``acting_floor``; for ``pause_every`` see `Book`.
 
     Raises
     ------
@@ -45,7 +44,8 @@ def open_book(
         counts too few episodes to be met, or if the floor cannot be kept, see `check_floor`.
     """
     _check_counts(num_learners, num_episodes)
-    check_floor(floor, floor_after, num_learners, num_steps)
+    check_floor(acting_floor, num_learners, num_steps)
+    floor = acting_floor if num_learners > 1 else None
     criteria = _criteria(criterion, run_variables or [{}] * len(run_seeds), num_episodes)
     num_runs = len(run_seeds)
     window = criterion.window if criterion else 1
@@ -69,8 +69,8 @@ def open_book(
         acting_steps=np.zeros((num_runs, num_learners), dtype=np.int64),
         acting_length=np.zeros((num_runs, num_learners + 1)),
         wanted=np.zeros((num_runs, num_learners)),
-        floor=floor if num_learners > 1 else 0.0,
-        floor_after=floor_after,
+        floor=floor.steps if floor else 0.0,
+        floor_after=floor.after if floor else 0,
         num_learners=num_learners,
         num_episodes=num_episodes,
         num_steps=ANY_STEPS if num_steps is None else num_steps,
@@ -119,19 +119,22 @@ def _check_counts(num_learners: int, num_episodes: int) -> None:
         raise ValueError(message)
 
 
-def check_floor(floor: float, floor_after: int, num_learners: int, num_steps: int | None) -> None:
-    """See that there are enough steps for so many learners to play the share ``floor`` each, and any after
-    ``floor_after``.
+def check_floor(floor: ActingFloor | None, num_learners: int, num_steps: int | None) -> None:
+    """See that there are enough steps for so many learners to play their share each, and any after the floor begins.
 
     Raises
     ------
     ValueError
         If there are not.
     """
-    if floor * num_learners > 1.0:
+    if floor is None:
+        return
+    if floor.steps * num_learners > 1.0:
         most = f"at most {1.0 / num_learners:.3g}"
-        message = f"acting_floor: found {floor:g} of the steps for each of {num_learners} learners, expected {most}"
+        message = (
+            f"acting_floor: found {floor.steps:g} of the steps for each of {num_learners} learners, expected {most}"
+        )
         raise ValueError(message)
-    if num_steps is not None and floor_after >= num_steps:
-        message = f"acting_floor: after: found {floor_after}, expected less than the {num_steps} steps of a run"
+    if num_steps is not None and floor.after >= num_steps:
+        message = f"acting_floor: after: found {floor.after}, expected less than the {num_steps} steps of a run"
         raise ValueError(message)

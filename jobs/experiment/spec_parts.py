@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from apel.configs import ActingFloor, LearnsFrom, ObservationRule
+from apel.configs import LearnsFrom, ObservationRule
+from apel.run.floor import ActingFloor
 from jobs.experiment.limits import MAX_LEARNERS, Copies, Steps
 from jobs.experiment.names import Name, Text
 from jobs.experiment.yaml_schema import Plain

@@ -131,7 +131,7 @@ def _check_run(trial: Trial, arm_point: ArmPoint, index: int, seed: int) -> None
             _try_learner(trial, run, world, position, plan, selector)
         place = ("arms", arm, "selector")
         _try_selector(trial, run, plan, selector)
-        check_floor(plan.selector.floor, plan.selector.floor_after, len(run.learners), plan.num_steps)
+        check_floor(plan.selector.acting_floor, len(run.learners), plan.num_steps)
         place = ("criterion",)
         _try_book(trial, run, world, plan, selector)
     except BaseException as error:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from apel.building import make_selector, registry
 from apel.configs import SelectorConfig
+from apel.run.floor import ActingFloor
 from apel.run.opening import open_book
 from apel.run.selection import Selector, common_blocks
 from apel.run.state import RUNNING, Book, advance_run
@@ -20,7 +21,8 @@ EPISODES = 1000
 
 def opened(selector: Selector, num_learners: int, floor: float, seed: int = 1) -> Book:
     """The book of one run."""
-    return open_book(selector, num_learners, EPISODES, None, [seed], [{}], floor=floor)
+    acting_floor = ActingFloor(floor) if floor else None
+    return open_book(selector, num_learners, EPISODES, None, [seed], [{}], acting_floor=acting_floor)
 
 
 def played(book: Book, selector: Selector, lengths: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -121,7 +123,8 @@ def test_begins_after_so_many_steps(make: Callable[[], Selector]) -> None:
     """Until the run has ``after`` steps everything is as without a floor; from then on it is one of the rest of the
     run, which asks nobody to make up for what was before.
     """
-    free, late = (open_book(make(), 2, EPISODES, None, [1], [{}], floor=rho, floor_after=3000) for rho in (0.0, 0.25))
+    floors = None, ActingFloor(0.25, after=3000)
+    free, late = (open_book(make(), 2, EPISODES, None, [1], [{}], acting_floor=floor) for floor in floors)
     books = {"free": free, "late": late}
     for _ in range(300):
         assert late.learner[0] == free.learner[0]
@@ -140,4 +143,4 @@ def test_begins_after_so_many_steps(make: Callable[[], Selector]) -> None:
 def test_begins_after_the_end() -> None:
     """A floor that never comes is a mistake."""
     with pytest.raises(ValueError, match="acting_floor: after: found 500, expected less than the 500 steps of a run"):
-        open_book(Fixed(), 2, EPISODES, None, [1], [{}], num_steps=500, floor=0.1, floor_after=500)
+        open_book(Fixed(), 2, EPISODES, None, [1], [{}], num_steps=500, acting_floor=ActingFloor(0.1, after=500))
