@@ -167,8 +167,12 @@ class Ensemble:
 
         # All others train on the trajectory, but for those that learn from their own alone.
         for index, bank in enumerate(self._banks):
-            if index != selected and played.batch is not None and self._learns_from_others[index]:
+            if index == selected or played.batch is None:
+                continue
+            if self._learns_from_others[index]:
                 bank.learn(played.batch)
+            else:
+                bank.skip(played.batch.episodes)
         episode, length = int(played.episodes.episode[0]), int(played.episodes.length[0])
         episode_return = float(played.episodes.episode_return[0])
         return EpisodeRecord(episode, selected, episode_return, length, probability, concentration, estimate)

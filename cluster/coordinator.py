@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 
-from apel.environments import World, close_environments
+from apel.environments import World, alike, close_environments
 from apel.learners.base import Failure, UnbuildableError
 from apel.run.user_code import faults_of
 from cluster.checkpoint import CheckpointError, pack, seal, unpack, unseal
@@ -20,6 +20,7 @@ from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardProgress, ShardReplayed, ShardStopped
 from cluster.learner_host import make_run_world
 from cluster.models import ModelClock, agents_of, finished
+from cluster.parts import Parts, Told
 from cluster.protocols import NO_RUN_ROWS, CheckpointStore, Hosts, ResultSink
 from cluster.shard import Execution, Shard
 from cluster.shard_state import CHECKPOINT_VERSION, ShardState
@@ -49,15 +50,36 @@ class Coordinator:
         """Close the environments, whatever is under way: the end is near. May be called from another thread."""
         self._hosts.close()
 
-    def run(self, shard: Shard) -> Iterator[ShardProgress | ShardReplayed | ShardDone | ShardStopped]:
-        """Play a shard to its end, from its checkpoint if there is one; yields its progress, last how it ended."""
+    def run(self, shard: Shard) -> Iterator[Told]:
+        """Play a shard to its end, from its checkpoint if there is one; yields its progress, last how it ended.
+
+        Runs whose environments differ in shape cannot be played side by side: they are played kind by kind, each as if
+        it were a shard by itself.
+        """
         try:
             yield from self._run(shard, time.monotonic())
         finally:
             self._hosts.close()
 
-    def _run(self, whole: Shard, started: float) -> Iterator[ShardProgress | ShardReplayed | ShardDone | ShardStopped]:
+    def _run(self, whole: Shard, started: float) -> Iterator[Told]:
         shard, worlds, failures = _make_worlds(whole)
+        parts = alike(worlds)
+        if len(parts) <= 1:
+            yield from self._run_alike(shard, worlds, failures, started)
+            return
+        total = Parts(failures)
+        for positions in parts:
+            part = shard.only(positions), [worlds[i] for i in positions]
+            yield from total.told(self._run_alike(*part, [], started))
+            if total.is_stopped:
+                return
+        yield total.done()
+
+    def _run_alike(
+        self, whole: Shard, its_worlds: Sequence[World], failed: Sequence[RunFailure], started: float
+    ) -> Iterator[Told]:
+        """Play runs that can be played side by side; ``failed`` are those of the shard that cannot be played."""
+        shard, worlds, failures = whole, list(its_worlds), [*failed]
         state = refused = None
         while shard.runs and state is None:
             try:
@@ -74,17 +96,16 @@ class Coordinator:
         if refused:
             yield ShardReplayed(f"its checkpoint does not fit: {refused}")
         yield from self._play_rounds(shard, state)
-        if shard.arm.models != "none" and not state.is_running():
-            self._keep_models(shard, state, finished(state.book))
         if state.is_running():
             yield ShardStopped(time.monotonic() - started)
             return
+        self._end(shard, state)
         try:
             self._sink.commit(shard, state.run_rows(), state.output.parts, state.output.rows)
         except CheckpointError as error:
             self._checkpoints.delete(shard)
             yield ShardReplayed(f"episodes that were put aside do not fit: {error}")
-            yield from self._run(whole, started)
+            yield from self._run_alike(whole, its_worlds, failed, started)
             return
         self._checkpoints.delete(shard)
         for failure, learner in state.output.failures:
@@ -165,6 +186,14 @@ class Coordinator:
                 yield state.progress(round_seconds, clock.seconds)
                 last_report = time.monotonic()
         yield state.progress(round_seconds, clock.seconds)
+
+    def _end(self, shard: Shard, state: ShardState) -> None:
+        """What is left to do when all runs are over."""
+        # A learner that fails at the last episode of a run fails it, whatever is played beside it, and for how long.
+        for learner, failures in enumerate(self._hosts.catch_up()):
+            state.fail(failures, learner)
+        if shard.arm.models != "none":
+            self._keep_models(shard, state, finished(state.book))
 
     def _keep_models(self, shard: Shard, state: ShardState, due: Sequence[tuple[int, str]]) -> None:
         """Store the models of some runs at their marks; a run whose learners cannot say what they are fails."""

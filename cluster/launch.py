@@ -219,6 +219,16 @@ class RemoteHosts:
         ]
         return answers
 
+    def catch_up(self) -> list[tuple[Failure, ...]]:
+        """See `cluster.protocols.Hosts`."""
+        answers: list[tuple[Failure, ...]] = [() for _ in self._actors]
+        others = {index: self._others(index) for index in range(len(self._actors))}
+        calls = {i: self._actors[i].catch_up.remote(*batches) for i, batches in others.items() if batches}
+        self._last = [None] * len(self._actors)
+        for index, failures in zip(calls, _get(list(calls.values())), strict=True):
+            answers[index] = failures
+        return answers
+
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
         """See `cluster.protocols.Hosts`."""
         calls = [actor.state.remote(*self._others(index)) for index, actor in enumerate(self._actors)]

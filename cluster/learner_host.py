@@ -172,11 +172,19 @@ class LearnerHost:
         self._limit = self._limit._replace(steps=allowed)
         return replace(played, batch=None, failures=(*failures, *played.failures)), played.batch
 
+    def catch_up(self, *batches: TrajectoryBatch) -> tuple[Failure, ...]:
+        """Learn from the others' last batches, and say where that failed: runs that are over have no round to come."""
+        return self._catch_up(batches)
+
     def state(self, *batches: TrajectoryBatch) -> tuple[State, tuple[Failure, ...]]:
-        """Everything needed to go on, after learning from the others' last batches."""
+        """Everything needed to go on, after learning from the others' last batches.
+
+        A run that is over does not go on: that its learner cannot say what it is by now fails nothing.
+        """
         failures = self._catch_up(batches)
-        state, episodes = self._bank.state(), self._book.episode
-        errors = [Failure.of(run, int(episodes[run]), error) for run, error in self._bank.errors.items()]
+        state, episodes, status = self._bank.state(), self._book.episode, self._book.status
+        broken = [(run, error) for run, error in self._bank.errors.items() if status[run] == RUNNING]
+        errors = [Failure.of(run, int(episodes[run]), error) for run, error in broken]
         return {"bank": state, "book": [np.array(column) for column in self._book]}, (*failures, *errors)
 
     def models(self, runs: Sequence[int], *batches: TrajectoryBatch) -> tuple[list[State], tuple[Failure, ...]]:
@@ -184,7 +192,7 @@ class LearnerHost:
         batches.
         """
         failures, episodes = self._catch_up(batches), self._book.episode
-        states = self._bank.models(runs, episodes[runs].tolist())
+        states = self._bank.models(runs)
         errors = [Failure.of(run, int(episodes[run]), error) for run, error in self._bank.errors.items()]
         return states, (*failures, *errors)
 
@@ -206,8 +214,8 @@ class LearnerHost:
 
     def _catch_up(self, batches: Sequence[TrajectoryBatch]) -> tuple[Failure, ...]:
         failures: list[Failure] = []
-        for batch in batches if self._learns else ():
-            failures += self._bank.learn(batch)
+        for batch in batches:
+            failures += self._bank.learn(batch) if self._learns else self._bank.skip(batch.episodes)
         if batches:
             # In one call: a run is played by one host per round, so that the order of the batches does not matter.
             columns = zip(*(batch.episodes for batch in batches), strict=True)

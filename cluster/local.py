@@ -41,6 +41,12 @@ class LocalHosts:
         """What each host played in the last round; None where that was nothing, or where nobody records it."""
         return list(self._last)
 
+    def catch_up(self) -> list[tuple[Failure, ...]]:
+        """See `cluster.protocols.Hosts`."""
+        answers = [host.catch_up(*self._others(i)) for i, host in enumerate(self._hosts)]
+        self._last = [None] * len(self._hosts)
+        return answers
+
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
         """See `cluster.protocols.Hosts`."""
         answers = [host.state(*self._others(i)) for i, host in enumerate(self._hosts)]

@@ -49,6 +49,10 @@ class Hosts(Protocol):
         """One round: host i learns from what the others played last, then plays the runs ``orders[i]``."""
         ...
 
+    def catch_up(self) -> list[tuple[Failure, ...]]:
+        """All hosts learn from what the others played last; where that failed."""
+        ...
+
     def states(self) -> list[tuple[State, tuple[Failure, ...]]]:
         """The states of all hosts, after they have learned from what the others played last, and where that failed."""
         ...

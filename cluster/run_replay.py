@@ -137,6 +137,8 @@ def play_run(arm: ArmPlan, run: RunPlan) -> tuple[Failure, ...]:
             orders = state.orders()
             state.take_in(hosts.play(orders), orders)
             state.output.rows.clear()
+        for learner, failures in enumerate(hosts.catch_up()):
+            state.fail(failures, learner)
     finally:
         hosts.close()
     return tuple(failure for failure, _ in state.output.failures)

@@ -145,6 +145,10 @@ class Shard:
             "seeds": hashlib.sha256(runs.encode()).hexdigest()[:16],
         }
 
+    def only(self, positions: Sequence[int]) -> Self:
+        """The shard of the runs at some positions, in their order."""
+        return replace(self, runs=tuple(self.runs[i] for i in positions))
+
     def without(self, positions: Sequence[int]) -> Self:
         """The shard without the runs at some positions."""
         return replace(self, runs=tuple(run for i, run in enumerate(self.runs) if i not in set(positions)))

@@ -31,7 +31,7 @@ from cluster.protocols import RunRows
 from cluster.round_log import RoundLog
 from cluster.shard import Shard, recorded_episodes
 
-CHECKPOINT_VERSION = 5
+CHECKPOINT_VERSION = 6
 """To be raised whenever an older checkpoint would go on to other rows."""
 
 

@@ -89,6 +89,68 @@ class Walker:
         self.num_seen = state["num_seen"]
 
 
+class Framed(Corridor):
+    """Shows where it is as an image of one row."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.observation_space = spaces.Box(0.0, 1.0, (width,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        _, info = super().reset(seed=seed)
+        return self._image(), info
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        _, *rest = super().step(action)
+        return self._image(), *rest
+
+    def _image(self) -> Any:
+        return (np.arange(self.observation_space.shape[0]) == self._cell).astype(np.float32)
+
+
+class Tiring(Walker):
+    """Fails at the end of the episode with this number, whoever plays it."""
+
+    def __init__(self, *arguments: Any, last: int) -> None:
+        super().__init__(*arguments)
+        self._last, self._episode = last, 0
+
+    def end_episode(self) -> None:
+        self._episode += 1
+        if self._episode == self._last + 1:
+            message = "out of ideas"
+            raise RuntimeError(message)
+
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "episode": self._episode}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self._episode = state["episode"]
+
+
+class Reticent(Walker):
+    """Does not say its probabilities in every third episode."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._episode = 0
+
+    def act(self, observation: Any) -> tuple[int, Any]:
+        action, probability = super().act(observation)
+        return action, probability if self._episode % 3 else None
+
+    def end_episode(self) -> None:
+        self._episode += 1
+
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "episode": self._episode}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self._episode = state["episode"]
+
+
 class Counting(Walker):
     """Counts what it sees in an array, in place, and keeps the array that it is given to go on from."""
 

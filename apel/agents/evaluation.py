@@ -27,6 +27,8 @@ MODES: tuple[Mode, ...] = ("greedy", "as trained")
 ENSEMBLE = "(ensemble)"
 """Under which name the episodes of the learners that the selector picks stand."""
 _RESAMPLES = 10_000
+_BATCH_NUMBERS = 20_000_000
+"""Of so many that are drawn at once: 160 MB."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,11 @@ class Played:
         count = len(self.episode_return)
         if count < 2:
             return self.mean, self.mean
-        chosen = np.random.default_rng(0).integers(count, size=(_RESAMPLES, count))
-        low, high = np.quantile(self.episode_return[chosen].mean(axis=1), expanded_levels(count))
+        rng, rows = np.random.default_rng(0), max(1, min(_RESAMPLES, _BATCH_NUMBERS // count))
+        starts = range(0, _RESAMPLES, rows)
+        sizes = [(min(rows, _RESAMPLES - start), count) for start in starts]
+        means = np.concatenate([self.episode_return[rng.integers(count, size=size)].mean(axis=1) for size in sizes])
+        low, high = np.quantile(means, expanded_levels(count))
         return float(low), float(high)
 
 

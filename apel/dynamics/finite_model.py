@@ -122,8 +122,9 @@ def stack_models(models: Sequence[FiniteModel]) -> FiniteTables:
             first.start_cell.shape,
         ):
             message = (
-                f"the environments of one experiment must have tables of one shape; found {model.next_cell.shape} with "
-                f"features {model.feature_sizes} and {first.next_cell.shape} with {first.feature_sizes}"
+                f"found tables of the shapes {model.next_cell.shape} and {first.next_cell.shape}, the features "
+                f"{model.feature_sizes} and {first.feature_sizes}, the limits {model.max_steps} and {first.max_steps}, "
+                "expected those of environments that are played side by side to be the same"
             )
             raise ValueError(message)
     reward_value, codes = np.unique(np.stack([m.reward for m in unique]), return_inverse=True)

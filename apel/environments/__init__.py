@@ -2,6 +2,7 @@
 
 import gymnasium
 
+from apel.environments.alike import alike
 from apel.environments.batched import batched_environment, environment_list, way_of_play
 from apel.environments.cartpole import CartPole
 from apel.environments.closing import close_environments
@@ -16,6 +17,7 @@ __all__ = [
     "JointActions",
     "Maze",
     "World",
+    "alike",
     "batched_environment",
     "close_environments",
     "environment_list",

@@ -112,7 +112,8 @@ class TrajectoryBatch:
     reward_value:
         ``float64[values]``.
     probability:
-        ``float64[N, actions]``, ``float64[N, 1]`` or None, see `Trajectory`.
+        ``float64[N, actions]``, ``float64[N, 1]`` or None, see `Trajectory`; NaN in the steps of episodes in which it
+        is not known.
     """
 
     episodes: Episodes
@@ -154,7 +155,6 @@ class TrajectoryBatch:
 
 def batch_of(episodes: Episodes, trajectories: Sequence[Trajectory]) -> TrajectoryBatch:
     """The batch of at least one trajectory, with a row of ``episodes`` for each."""
-    probabilities = [t.probability for t in trajectories if t.probability is not None]
     value, code = np.unique(np.concatenate([t.reward for t in trajectories]), return_inverse=True)
     return TrajectoryBatch(
         episodes=episodes,
@@ -162,8 +162,18 @@ def batch_of(episodes: Episodes, trajectories: Sequence[Trajectory]) -> Trajecto
         action=np.concatenate([t.action for t in trajectories]),
         reward_code=code.astype(np.min_scalar_type(len(value))),
         reward_value=value,
-        probability=np.concatenate(probabilities) if len(probabilities) == len(trajectories) else None,
+        probability=_probabilities(trajectories),
     )
+
+
+def _probabilities(trajectories: Sequence[Trajectory]) -> NDArray[np.float64] | None:
+    """What is known of one episode is known whatever other episodes, of other runs too, are in the batch."""
+    known = next((t.probability for t in trajectories if t.probability is not None), None)
+    if known is None:
+        return None
+    unknown = np.full(known.shape[1], np.nan)
+    rows = (np.tile(unknown, (len(t), 1)) if t.probability is None else t.probability for t in trajectories)
+    return np.concatenate(list(rows))
 
 
 def _read_only(column: NDArray[Any]) -> NDArray[Any]:

@@ -210,6 +210,12 @@ class LearnerBank(Protocol):
         """Learn from the episodes that other learners played."""
         ...
 
+    def skip(self, episodes: Episodes) -> tuple[Failure, ...]:
+        """Take note of episodes that other learners played, and from which these learn nothing: policies are frozen
+        where an epoch begins, whoever plays and learns.
+        """
+        ...
+
     @property
     def errors(self) -> Mapping[int, BaseException]:
         """What users' code raised in the last call of `state`, by run."""
@@ -223,9 +229,9 @@ class LearnerBank(Protocol):
         """Go back to what `state` returned."""
         ...
 
-    def models(self, runs: Sequence[int], episodes: Sequence[int]) -> list[State]:
-        """The states of the learners of some runs, each as the learner of a single run has it (`Learner.state`) after
-        so many episodes of its run; empty for one that is among the `errors` of the call.
+    def models(self, runs: Sequence[int]) -> list[State]:
+        """The states of the learners of some runs, each as the learner of a single run has it (`Learner.state`); empty
+        for one that is among the `errors` of the call.
         """
         ...
 

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from apel.theory.chains import Chains, Floats, make_chains
-from apel.theory.ranges import require_decay, require_fraction, require_learners, require_positive
+from apel.theory.ranges import require_decay, require_fraction, require_learners
 from apel.theory.selection_aware import steady_state_concentration
 
 LEAST_DECAY = 5e-4
@@ -177,7 +177,7 @@ def decay_for(measure: Callable[[float], float], wanted: float, num_learners: in
     measure:
         Of ν; has to rise, or to fall, with it.
     wanted:
-        Its value.
+        Its value, finite.
     num_learners:
         n.
     rising:
@@ -188,13 +188,11 @@ def decay_for(measure: Callable[[float], float], wanted: float, num_learners: in
     ValueError
         If no such ν gives it.
     """
-    require_positive("wanted", wanted)
     lowest, highest = LEAST_DECAY, 1.0 / (num_learners + 1)
-    found_at = cache(measure)
+    found_at, sign = cache(measure), 1.0 if rising else -1.0
 
     def excess(nu: float) -> float:
-        relative = found_at(nu) / wanted - 1.0
-        return relative if rising else max(-relative, -1.0)  # times may be infinite
+        return max(sign * (found_at(nu) - wanted), -1e9)  # times may be infinite
 
     # From above, since simulations take the longer the smaller ν is.
     below = above = highest

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from apel.theory import closed_forms, inverses, noisy, selection_aware, selection_aware_inverses
-from apel.theory.ranges import require_returns
+from apel.theory.ranges import require_performance, require_positive, require_returns
 from jobs.experiment.yaml_source import SpecError
 
 DISSERTATION = "dissertation"
@@ -221,6 +221,10 @@ def _decay(theory: str, option: str, value: float, request: Request, others: Seq
 
 def _simulated_decay(option: str, value: float, request: Request, others: Sequence[float]) -> float:
     ensemble = request.ensemble
+    if option == "performance":
+        require_performance(value, request.best_return or 0.0, others)
+    else:
+        require_positive("wanted", value)
 
     def explored(nu: float) -> float:
         return noisy.steady_state(nu, ensemble).exploration_probability

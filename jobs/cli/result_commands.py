@@ -99,7 +99,8 @@ def figures(
 
 def claims(
     results: Annotated[
-        list[str] | None, typer.Argument(help="Folders that hold results, at any depth. Default: results.")
+        list[str] | None,
+        typer.Argument(help="Folders of results, or of experiments, or of single ones. Default: results."),
     ] = None,
     output: Annotated[str | None, typer.Option(help="Folder or URI for claims.parquet and claims.md.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Also list claims whose experiment has no results.")] = False,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pyarrow import fs
-
 from jobs.results.places import joined
 from jobs.results.sinks import SPEC_FILE
 from jobs.results.store import ResultStore, StoreError
@@ -43,19 +41,25 @@ def results_at(location: str, say: Callable[[str], None]) -> ResultStore:
 
 
 def stores_below(location: str, say: Callable[[str], None]) -> list[tuple[float, ResultStore]]:
-    """All folders with a ``runs.parquet``, at most two levels down, and when that was written."""
+    """All folders with a ``runs.parquet``, at most two levels down, and when that was written.
+
+    Raises
+    ------
+    StoreError
+        If there is a file in the place of the folder.
+    """
     level, found = [location], []
     for _ in range(3):
         below = []
         for place in level:
             store = ResultStore.at(place, say)
-            (info,) = store.folder.filesystem.get_file_info([store.folder.path(_RUNS)])
-            if info.type == fs.FileType.File and not store.folder.is_link(_RUNS):
-                found.append((info.mtime.timestamp() if info.mtime else 0.0, store))
+            if place == location and store.folder.written() is not None:
+                message = f"{store.folder.location()}: found a file, expected a folder with results"
+                raise StoreError(message)
+            written = None if store.folder.is_link(_RUNS) else store.folder.written(_RUNS)
+            if written is not None:
+                found.append((written, store))
                 continue
-            selector = fs.FileSelector(store.folder.path(), allow_not_found=True)
-            infos = store.folder.filesystem.get_file_info(selector)
-            names = [info.base_name for info in infos if info.type == fs.FileType.Directory]
-            below += [joined(place, name) for name in names if not store.folder.is_link(name)]
+            below += [joined(place, name) for name in store.folder.top_folder_names()]
         level = sorted(below)
     return found

@@ -111,6 +111,13 @@ class Folder:
         """Whether there is such a file or folder."""
         return self._type(name) != fs.FileType.NotFound
 
+    def written(self, name: str = "") -> float | None:
+        """When a file was written, in seconds since 1970 (0 where that is not known); None where it is no file."""
+        info = self._retried(name, "looking", lambda: self._filesystem.get_file_info(self.path(name)))
+        if info.type != fs.FileType.File:
+            return None
+        return info.mtime.timestamp() if info.mtime else 0.0
+
     def names(self, folder: str = "") -> list[str]:
         """Names of all files below ``folder``, relative to it; none if it does not exist. Links are none.
 
@@ -121,6 +128,13 @@ class Folder:
     def folder_names(self) -> list[str]:
         """Names of all folders below this one, relative to it."""
         return self._names_of("", fs.FileType.Directory)
+
+    def top_folder_names(self) -> list[str]:
+        """Names of the folders in this one, without what is in them."""
+        selector = fs.FileSelector(self.path(), allow_not_found=True)
+        infos = self._retried("", "listing", lambda: self._filesystem.get_file_info(selector))
+        names = [info.base_name for info in infos if info.type == fs.FileType.Directory]
+        return sorted(name for name in names if not self.is_link(name))
 
     def temporary_names(self) -> list[str]:
         """What `names` leaves out."""

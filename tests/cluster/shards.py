@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from apel.agents.content import AgentContent
 from apel.learners.base import Played
 from apel.run.state import EpisodeRows
 from cluster.coordinator import Coordinator
@@ -33,6 +34,9 @@ class Memory:
     def commit(self, shard: Shard, runs: RunRows, parts: Sequence[str], rows: Sequence[EpisodeRows]) -> None:
         self.runs = runs
         self.rows += rows
+
+    def keep(self, shard: Shard, position: int, mark: str, model: AgentContent) -> None:
+        return
 
     def read(self, shard: Shard) -> bytes | None:
         return self.content

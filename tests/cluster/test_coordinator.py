@@ -100,6 +100,26 @@ def test_one_failing_run_leaves_the_others(small: Path) -> None:
     assert memory.sorted_rows() == alone.sorted_rows()
 
 
+FREQUENT = Execution(checkpoint_episodes=1, checkpoint_seconds=0.0, checkpoint_share=1.0)
+
+
+@pytest.mark.parametrize("models", ["none", "final"])
+@pytest.mark.parametrize(
+    "execution", [Execution(), Execution(streak_episodes=3), Execution(streak_episodes=5), FREQUENT]
+)
+@pytest.mark.parametrize("runs", [[0], [0, 1, 2]])
+def test_failing_at_anothers_last_episodes(small: Path, runs: list[int], execution: Execution, models: str) -> None:
+    """A learner that fails at an episode of another's fails its run, also where no round comes after it."""
+    overrides = (*with_user_code("", "tests.user_code:Tiring"), "learners.W.last=7", "episodes=8", f"models={models}")
+    memory = Memory()
+    shard = shard_of(small, *overrides, "arms.APEL.selector.type=fixed").only(runs)
+    done = play(shard, memory, execution)
+    assert memory.runs is not None
+    assert memory.runs.position.tolist() == []
+    found = [(failure.run_index, failure.learner, failure.episode, failure.error) for failure in done.failures]
+    assert found == [(run, "W", 7, "RuntimeError: out of ideas") for run in runs]
+
+
 def test_shard_without_a_buildable_run(small: Path) -> None:
     """Where no environment of a shard can be made, every run is told of, and nothing is played or stored."""
     shard = shard_of(small)

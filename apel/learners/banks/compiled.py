@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from apel.dynamics.finite_model import FiniteModel, stack_models
 from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch
 from apel.learners.banks.batched_learner import NO_ERRORS
-from apel.learners.banks.compiled_streaks import learn_episodes, play_compiled_streaks
+from apel.learners.banks.compiled_streaks import learn_episodes, play_compiled_streaks, skip_episodes
 from apel.learners.banks.streaks import Streaks, most_per_run, not_finite_failures
 from apel.learners.base import Failure, Performance, Played, State, StreakLimit
 from apel.learners.tabular.kernels import TrajectoryRoom, evaluate_episode, play_episode
@@ -107,6 +107,11 @@ class CompiledBank:
         )
         return ()
 
+    def skip(self, episodes: Episodes) -> tuple[Failure, ...]:
+        """See `LearnerBank`."""
+        skip_episodes(episodes, self._tables)
+        return ()
+
     def state(self) -> State:
         """Tables, streams and clocks."""
         return tables_state(self._tables)
@@ -115,9 +120,9 @@ class CompiledBank:
         """Go back to what `state` returned."""
         restore_tables(self._tables, state)
 
-    def models(self, runs: Sequence[int], episodes: Sequence[int]) -> list[State]:
+    def models(self, runs: Sequence[int]) -> list[State]:
         """See `LearnerBank`."""
-        return [self._states.of_run(run, episode) for run, episode in zip(runs, episodes, strict=True)]
+        return [self._states.of_run(run) for run in runs]
 
     def begin_from(self, states: Sequence[State]) -> None:
         """See `LearnerBank`."""

@@ -72,6 +72,13 @@ def play_compiled_streaks(
 
 
 @njit
+def skip_episodes(episodes: Episodes, tables: Tables) -> None:
+    """What a run's epochs ask for where nothing is learned from its episodes."""
+    for e in range(episodes.run.shape[0]):
+        freeze_at_epoch(tables, episodes.run[e], episodes.episode[e])
+
+
+@njit
 def learn_episodes(
     episodes: Episodes,
     observation: NDArray[Any],
@@ -95,4 +102,5 @@ def learn_episodes(
                 learn_step(tables, member, values, row, np.int64(action[start + step]), reward, next_row, step == last)
                 row = next_row
             tables.steps[member] += length
+            tables.episode[member] += 1
         start += length

@@ -13,7 +13,7 @@ from apel.dynamics.batched_environment import ENVIRONMENTS, BatchedEnvironment, 
 from apel.dynamics.worlds import HasWorlds
 from apel.experience.action_form import ActionForm
 from apel.experience.sight import Sight, Told
-from apel.experience.trajectory import Trajectory, TrajectoryBatch
+from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch
 from apel.learners.banks.batch_walk import BatchWalk
 from apel.learners.banks.batched_learner import NO_ERRORS, BatchedLearner, EpisodePlayer, Transitions
 from apel.learners.banks.greedy_evaluation import evaluate_greedily, raise_first
@@ -123,6 +123,16 @@ class LockstepBank:
             seen = self._begin(walk, started[left], seen if left.all() else seen[left], failures)
         return tuple(failures)
 
+    def skip(self, episodes: Episodes) -> tuple[Failure, ...]:
+        """See `LearnerBank`."""
+        pairs = zip(episodes.run.tolist(), episodes.episode.tolist(), strict=True)
+        # Of two epochs that begin unheeded the first is told of: whatever fails, fails there.
+        begun = dict(reversed([(run, episode) for run, episode in pairs if starts_epoch(episode)]))
+        errors = self.freeze_at_epoch(np.array([*begun], dtype=np.int64), np.array([*begun.values()], dtype=np.int64))
+        if errors and self._raises:
+            raise_first(errors)
+        return tuple(Failure.of(run, begun[run], error) for run, error in errors.items())
+
     def _learn_whole_episodes(self, batch: TrajectoryBatch) -> tuple[Failure, ...]:
         """The same run by run, where nothing is gained from lockstep: the rows are the steps of one episode."""
         failures: dict[int, Failure] = {}
@@ -192,8 +202,8 @@ class LockstepBank:
         if isinstance(self.environment, CarriesState):
             self.environment.restore({ENVIRONMENTS: state[ENVIRONMENTS]})
 
-    def models(self, runs: Sequence[int], episodes: Sequence[int]) -> list[State]:
-        """See `LearnerBank`; such learners count their episodes themselves."""
+    def models(self, runs: Sequence[int]) -> list[State]:
+        """See `LearnerBank`."""
         state = self.learner.state()
         if self._single is None:
             return [state["learners"][run] or {} for run in runs]

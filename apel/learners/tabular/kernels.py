@@ -32,11 +32,12 @@ class TrajectoryRoom(NamedTuple):
 
 
 @njit(inline="always")
-def _exploration_rate(tables: Tables, member: int, episode: int) -> float:
+def _exploration_rate(tables: Tables, member: int) -> float:
     if tables.decay_steps[member] > 0.0:
         start, end = tables.exploration[member, 0], tables.exploration[member, 1]
         return end + (start - end) * math.exp(-tables.steps[member] / tables.decay_steps[member])
-    return tables.exploration[member, 0] if episode < tables.switch_episode[member] else tables.exploration[member, 1]
+    is_before = tables.episode[member] < tables.switch_episode[member]
+    return tables.exploration[member, 0] if is_before else tables.exploration[member, 1]
 
 
 @njit(inline="always")
@@ -164,8 +165,12 @@ def play_episode(
     """
     freeze_at_epoch(tables, run, episode)
     if tables.method[run] != NO_VOTE:
-        return _play_voting(world, tables, run, environment_stream, recording, start, position, record)
-    return _play_exploring(world, tables, run, episode, environment_stream, recording, start, position, record)
+        played = _play_voting(world, tables, run, environment_stream, recording, start, position, record)
+    else:
+        played = _play_exploring(world, tables, run, environment_stream, recording, start, position, record)
+    for member in range(run * tables.num_members, (run + 1) * tables.num_members):
+        tables.episode[member] += 1
+    return played
 
 
 @njit
@@ -173,7 +178,6 @@ def _play_exploring(
     world: FiniteTables,
     tables: Tables,
     run: int,
-    episode: int,
     environment_stream: Stream,
     recording: TrajectoryRoom,
     start: int,
@@ -188,7 +192,7 @@ def _play_exploring(
     decays, plans = tables.decay_steps[run] > 0.0, tables.planning_steps[run] > 0
     freezes, takes_first = tables.frozen.shape[0] > 0, tables.takes_first[run]
     acting = _acting(tables, run)
-    exploration = _exploration_rate(tables, run, episode)
+    exploration = _exploration_rate(tables, run)
     cell, distractor = draw_start(world, model, environment_stream)
     state = cell * world.num_distractor_values + distractor
     row = np.int64(rows[state])
@@ -223,7 +227,7 @@ def _play_exploring(
         row = next_row
         total += reward
         if decays:
-            exploration = _exploration_rate(tables, run, episode)
+            exploration = _exploration_rate(tables, run)
         if terminal:
             break
     if record:

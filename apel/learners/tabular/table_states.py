@@ -31,12 +31,11 @@ class TableStates:
         self._values = model.feature_values()
         self._keys: dict[Representation, NDArray[np.int64]] = {}
 
-    def of_run(self, run: int, episode: int) -> State:
-        """What the plain learner's ``state()`` is after the same ``episode`` episodes."""
+    def of_run(self, run: int) -> State:
+        """What the plain learner's ``state()`` is after the same episodes."""
         learner = self._learners[run]
         states = [
-            self._member_state(run * len(learner.members) + i, member, episode)
-            for i, member in enumerate(learner.members)
+            self._member_state(run * len(learner.members) + i, member) for i, member in enumerate(learner.members)
         ]
         if learner.voting is None:
             return states[0]
@@ -52,13 +51,13 @@ class TableStates:
         for i, (member, stored) in enumerate(zip(learner.members, states, strict=True)):
             self._begin_member(run * len(learner.members) + i, member, stored)
 
-    def _member_state(self, at: int, member: TabularMember, episode: int) -> State:
+    def _member_state(self, at: int, member: TabularMember) -> State:
         tables, keys = self._tables, self._keys_of(member)
         state: State = {
             "table": _table_state(tables.value[at], keys),
             "frozen": _table_state(tables.frozen[at], keys) if len(tables.frozen) else None,
             "stream": tables.stream[at].copy(),
-            "episode": episode,
+            "episode": int(tables.episode[at]),
             "steps": int(tables.steps[at]),
         }
         if isinstance(member.options, DynaQOptions):

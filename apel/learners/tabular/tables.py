@@ -59,6 +59,8 @@ class Tables(NamedTuple):
     """``uint64[members, 2]``."""
     steps: NDArray[np.int64]
     """``int64[members]``: observed environment steps."""
+    episode: NDArray[np.int64]
+    """``int64[members]``: observed episodes; fewer than the run has where it learns from its own alone."""
     learning_rate: NDArray[np.float64]
     discount: NDArray[np.float64]
     exploration: NDArray[np.float64]
@@ -87,7 +89,9 @@ class Tables(NamedTuple):
     """M."""
 
 
-_CHANGING = ("value", "frozen", "stream", "steps", "model_row", "model_reward", "model_terminal", "pair", "num_pairs")
+_CHANGING = (
+    "value", "frozen", "stream", "steps", "episode", "model_row", "model_reward", "model_terminal", "pair", "num_pairs",
+)  # fmt: skip
 
 
 def tables_state(tables: Tables) -> State:
@@ -120,6 +124,7 @@ def make_tables(model: FiniteModel, learners: Sequence[TabularLearner], *, freez
         row_set=np.array([views.index(member.representation) for member in members], dtype=np.int64),
         stream=np.array([stream_of_seed(member.seed) for member in members], dtype=np.uint64),
         steps=np.zeros(len(members), dtype=np.int64),
+        episode=np.zeros(len(members), dtype=np.int64),
         learning_rate=np.array([option.learning_rate for option in options]),
         discount=np.array([option.discount for option in options]),
         exploration=np.array([rates for rates, _, _ in explorations]),

@@ -10,6 +10,7 @@ judged by an interval, one that is not beyond doubt is undecided: all that remai
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -148,14 +149,20 @@ def _verdict(claim: Claim, results: Results) -> Verdict:
         notes.append(f"{num_runs} runs are too few to decide")
     estimate = found.estimate
     ruling, p_value = rule(claim, estimate, num_runs), _p_value(claim, found, num_runs)
-    # A mean of caps is a bound, on which a claim may hold or fail; what they differ by is nothing that was measured.
+    # A mean of caps is a bound, which may lie beyond a threshold; what caps differ by is nothing that was measured.
     is_bound = claim.statistic.of == "mean" and claim.statistic.over == "only"
-    if is_time and selected.censored_at.all() and not is_bound:
+    if is_time and selected.censored_at.all() and not (is_bound and _is_beyond(claim, estimate)):
         notes.append("all are the cap, beyond which nothing is known")
         ruling, p_value = "undecided", None
     return Verdict(
         claim, ruling, estimate, num_runs, num_censored, identity, folder, note="; ".join(notes), p_value=p_value
     )
+
+
+def _is_beyond(claim: Claim, bound: Estimate[float]) -> bool:
+    """Whether what is at least so much decides: above all that is claimed, or within it where it has no end."""
+    low, high = claim.bounds
+    return bound.low >= high or (math.isinf(high) and bound.low > low)
 
 
 def _found(statistic: Statistic, selected: Selected, experiment: Experiment) -> Found:

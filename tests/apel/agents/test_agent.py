@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import apel
+from apel.agents import evaluation
+from apel.agents.evaluation import Played
 from apel.agents.files import AGENT_FILE, ARRAYS_FILE
 from apel.building import make_learner
 from apel.learners.base import Learner, Transition
@@ -209,6 +211,16 @@ def test_evaluation(both: Path) -> None:
     assert not np.array_equal(
         fast.episode_return, agent.evaluate(episodes=30, seed=2).of("fast", "as trained").episode_return
     )
+
+
+def test_interval_of_many_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resamples are drawn a few at a time where there are many episodes, in memory that does not grow with them."""
+    returns = np.random.default_rng(3).normal(size=400)
+    one = Played("Q", "greedy", returns, np.ones(400, dtype=np.int64))
+    together = one.interval
+    monkeypatch.setattr(evaluation, "_BATCH_NUMBERS", 1000)
+    assert one.interval == pytest.approx(together, abs=0.01)
+    assert together == pytest.approx((returns.mean() - 0.1, returns.mean() + 0.1), abs=0.02)
 
 
 def test_evaluation_learns_nothing(both: Path) -> None:

@@ -56,7 +56,7 @@ def test_reward_codes_lose_nothing() -> None:
 )
 def test_models_of_one_experiment_have_one_shape(other: FiniteModel) -> None:
     """Models that differ in size, features or step limit cannot be stacked."""
-    with pytest.raises(ValueError, match="must have tables of one shape"):
+    with pytest.raises(ValueError, match="found tables of the shapes"):
         stack_models([Maze(size=3).finite_model, other])
 
 

@@ -398,7 +398,7 @@ def test_limit_of_a_wrapped_maze_is_kept() -> None:
 def test_models_of_different_shapes_are_refused() -> None:
     """Runs of one experiment have tables of one shape."""
     worlds = [make_world(EnvironmentConfig("apel/Maze-v0", {"size": size}), 0) for size in (3, 4)]
-    with pytest.raises(ValueError, match="must have tables of one shape"):
+    with pytest.raises(ValueError, match="found tables of the shapes"):
         batched_environment(worlds)
 
 

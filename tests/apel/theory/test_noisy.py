@@ -111,6 +111,8 @@ def test_decay_by_any_measure() -> None:
         (lambda nu: 1.0 - 20.0 * nu, 0.5, 0.025),  # −1 there
         (lambda nu: 3.0 / nu, 3.0 / LEAST_DECAY, LEAST_DECAY),
         (lambda nu: 3.0 / nu, 30.0, 0.1),
+        (lambda nu: 0.5 - 20.0 * nu, 0.0, 0.025),
+        (lambda nu: -10.0 - 900.0 * nu, -20.0, 1.0 / 90.0),
     ):
         assert decay_for(measure, wanted, 9, rising=False) == pytest.approx(nu, rel=2e-3)
     assert decay_for(lambda nu: 2.0 * nu, 0.01, 9, rising=True) == pytest.approx(0.005, rel=2e-3)

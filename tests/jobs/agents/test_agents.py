@@ -179,7 +179,7 @@ def test_going_on_in_an_experiment(maze: Path, tmp_path: Path) -> None:
             make_bank([one], [world], [run.seed], index, "return", with_probability=False)
             for one in (config, replace(config, start=None))
         ]
-        begun, fresh = (bank.models([0], [0])[0] for bank in banks)
+        begun, fresh = (bank.models([0])[0] for bank in banks)
         trained = agent.content.learners[index].state
         np.testing.assert_array_equal(begun["table"]["values"], trained["table"]["values"])
         np.testing.assert_array_equal(begun["table"]["keys"], trained["table"]["keys"])

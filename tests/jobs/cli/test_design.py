@@ -65,6 +65,8 @@ def test_noise_and_floor() -> None:
     assert rows[SIMULATED, SIMULATED].exploration == pytest.approx(0.05, rel=0.01)
     assert rows[DISSERTATION, SIMULATED].exploration > 0.11
     assert rows[SIMULATED, SIMULATED].decay < 0.5 * rows[DISSERTATION, DISSERTATION].decay
+    penalised = Request(performance=-20.0, best_return=-10.0, other_returns=(-100.0,), win_probability=0.9)
+    assert rows_of(penalised)[SIMULATED, SIMULATED].performance == pytest.approx(-20.0, rel=1e-2)
     wish = Request(performance=0.9, best_return=1.0, other_returns=(0.0,), floor=0.05)
     assert rows_of(wish)[SIMULATED, SIMULATED].performance == pytest.approx(0.9, rel=1e-3)
     assert advice(list(rows.values()), 4)[0].endswith("(simulation)")

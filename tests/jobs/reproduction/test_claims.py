@@ -340,6 +340,25 @@ def test_all_at_the_cap_decides_nothing(tmp_path: Path) -> None:
     assert verdict.ruling == "holds"
 
 
+@pytest.mark.parametrize(
+    ("direction", "threshold", "expected"),
+    [
+        ("above", 4000, "holds"), ("above", 6000, "undecided"), ("below", 4000, "fails"), ("below", 6000, "undecided"),
+        ("between", [3000, 4000], "fails"), ("between", [4000, 6000], "undecided"),
+        ("between", [6000, 7000], "undecided"),
+    ],
+)  # fmt: skip
+def test_a_mean_of_caps_is_a_lower_bound(tmp_path: Path, direction: str, threshold: Any, expected: str) -> None:
+    """Of runs that all took at least 5000 episodes nothing is known that lies beyond."""
+    capped = two_arms(num_runs=20)
+    capped["train_time"], capped["censored"] = [5000.0] * 40, [True] * 40
+    statistic = {"of": "mean", "metric": "train_time", "arms": ["APEL"]}
+    stated = claim(statistic=statistic, direction=direction, threshold=threshold)
+    (verdict,) = judge([stated], [stored(tmp_path, "distractor-maze", capped)])
+    assert verdict.ruling == expected
+    assert (verdict.p_value is None) == (expected == "undecided")
+
+
 DECAY = ["arms.APEL.selector.decay=0.5"]
 
 

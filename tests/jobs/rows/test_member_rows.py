@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,9 +17,34 @@ from tests.cluster.losing import assert_goes_on
 from tests.experiments import SMALL
 from tests.same_rows import assert_same, episode_rows, play
 
-MEMBERS = SMALL.replace("Q_full: {type: q_learning}", "Q_full: {type: q_learning, learns_from: own}").replace(
+# Its exploration ends by a clock of its own: with its twentieth own episode, whatever that of the run is.
+OWN = "Q_full: {type: q_learning, learns_from: own, exploration: {before: 0.9, episode: 20, after: 0.0}}"
+MEMBERS = SMALL.replace("Q_full: {type: q_learning}", OWN).replace(
     "decay: 0.01}", "decay: 0.01, acting_floor: {steps: 0.2}}"
 )
+EPOCHS = """
+name: epochs
+runs: 4
+episodes: 70
+environment: {id: apel/Maze-v0, run_seed: maze_seed, options: {size: 4, max_steps: 60}}
+learners:
+  one: {type: q_learning, learns_from: own}
+  two: {type: q_learning, learns_from: own, learning_rate: 0.5}
+  three: {type: q_learning, learns_from: own, learning_rate: 0.05}
+arms: {ESBAS: {learners: [one, two, three], selector: {type: esbas}}}
+record: all
+"""
+RETICENT = """
+name: reticent
+runs: 3
+episodes: 40
+environment: {id: apel/CartPole-v0, options: {max_steps: 60}}
+learners:
+  W: {type: "tests.user_code:Reticent", share: 0.5}
+  A: {type: acer, network: {hidden: [8]}, learning_starts: 1, rollout: 5}
+arms: {APEL: {learners: [W, A], selector: {type: apel, decay: 0.1}}}
+record: all
+"""
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +99,40 @@ def test_both_matter(spec: Path, reference: Path, tmp_path: Path, override: str)
     assert other.name != reference.name
     with pytest.raises(AssertionError):
         assert_same(reference, other)
+
+
+def learned(table: Any) -> dict[Any, list[float]]:
+    """What is known of states; looking at one adds it without anything."""
+    return {key: values.tolist() for key, values in table.items() if values.any()}
+
+
+def test_epochs_begin_for_all(tmp_path: Path) -> None:
+    """Under ESBAS a learner that learns from its own episodes acts from an epoch's first episode on as it knows then,
+    whoever plays that one; a job gives the rows of the readable loop.
+    """
+    spec = tmp_path / "epochs.yaml"
+    spec.write_text(EPOCHS)
+    (shard,) = Plan.of(load_experiment(str(spec))).shards(num_cpus=1, shard_size=100)
+    stored = episode_rows(play(spec, tmp_path, placement="local", shard_size=100))
+    num_known = 0
+    for run in shard.runs:
+        loop = Ensemble(make_run_world(run), run.learners, make_selector(shard.arm.selector), run.seed, 70)
+        selected = [loop.run_episode().selected for _ in range(15)]
+        known = [learned(learner.table) for learner in loop.learners]  # type: ignore[attr-defined]
+        selected += [loop.run_episode().selected for _ in range(15)]
+        frozen = [learned(learner.frozen) for learner in loop.learners]  # type: ignore[attr-defined]
+        selected += [loop.run_episode().selected for _ in range(40)]
+        assert frozen == known
+        num_known += sum(map(len, known))
+        assert stored[stored["run_index"] == run.index]["selected"].tolist() == selected
+    assert num_known > 0
+
+
+def test_what_one_keeps_to_itself_concerns_its_episodes_alone(tmp_path: Path) -> None:
+    """ACER learns with μ from the episodes of which it is known, whatever other episodes, and runs, are beside them."""
+    spec = tmp_path / "reticent.yaml"
+    spec.write_text(RETICENT)
+    alone = play(spec, tmp_path / "alone", placement="local", shard_size=1)
+    assert_same(alone, play(spec, tmp_path / "together", placement="local", shard_size=100))
+    short = Execution(streak_episodes=1)
+    assert_same(alone, play(spec, tmp_path / "short", placement="local", shard_size=2, execution=short))
