@@ -136,12 +136,13 @@ class TrajectoryBatch:
         columns = (self.episodes.run, self.episodes.episode, self.episodes.length, self.episodes.terminated)
         for position, (run, episode, length, terminated) in enumerate(zip(*map(_list, columns), strict=True)):
             steps = slice(step, step + length)
+            known = None if self.probability is None else self.probability[steps]
             trajectory = Trajectory(
                 observation=self.observation[step + position : step + length + position + 1],
                 action=self.action[steps],
                 reward=self.reward_value[self.reward_code[steps]],
                 terminated=terminated,
-                probability=None if self.probability is None else self.probability[steps],
+                probability=None if known is None or np.isnan(known[0]).any() else known,
             )
             yield run, episode, trajectory
             step += length

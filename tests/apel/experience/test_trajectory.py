@@ -72,15 +72,18 @@ def test_reward_codes_have_room_for_every_value(num_values: int, bytes_per_code:
     np.testing.assert_array_equal(next(batch.trajectories())[2].reward, reward)
 
 
-def test_probabilities_travel_only_if_all_episodes_have_them() -> None:
-    """One episode without μ leaves the batch without: columns are whole or absent."""
+def test_probabilities_travel_with_their_own_episodes() -> None:
+    """One episode without μ takes it from no other: other runs may be in the batch. Without any there is no column."""
     with_mu, without = (
         Trajectory(np.zeros(2), np.zeros(1, dtype=np.int64), np.zeros(1), True, probability)
         for probability in (np.array([[0.25, 0.75]]), None)
     )
-    assert batch_of(episodes_of([with_mu, without]), [with_mu, without]).probability is None
-    whole = batch_of(episodes_of([with_mu, with_mu]), [with_mu, with_mu])
-    np.testing.assert_array_equal(whole.probability, [[0.25, 0.75], [0.25, 0.75]])
+    mixed = batch_of(episodes_of([without, with_mu]), [without, with_mu])
+    np.testing.assert_array_equal(mixed.probability, [[np.nan, np.nan], [0.25, 0.75]])
+    first, second = (trajectory.probability for _, _, trajectory in mixed.trajectories())
+    assert first is None
+    np.testing.assert_array_equal(second, [[0.25, 0.75]])
+    assert batch_of(episodes_of([without, without]), [without, without]).probability is None
 
 
 def test_nbytes_counts_every_column() -> None:
