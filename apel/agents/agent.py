@@ -19,7 +19,8 @@ from apel.configs import EnvironmentConfig
 from apel.experience.action_form import ActionForm
 from apel.experience.representations import View
 from apel.experience.sight import Sight
-from apel.learners.answers import action_of, pair_of
+from apel.learners import LearnerList
+from apel.learners.banks.greedy_evaluation import exploring_choice, greedy_choice
 from apel.learners.base import HasActionValues, HasGreedyAction, Learner
 from apel.run.floor import under_floor
 
@@ -132,18 +133,21 @@ class Agent:
 
         The first of the actions with the highest value, or what a learner says that it would do without exploring; with
         ``explore``, and where a learner cannot say, as while it was trained. ``info`` is needed where an environment's
-        signals end episodes for learners.
+        signals end episodes for learners. Learners are given copies.
+
+        Raises
+        ------
+        ValueError
+            If the observation cannot be brought into the form of the environment's space, see
+            `apel.agents.making.entry_of`, or a learner answers with what is no action.
         """
         seen, name = self._seen(observation, info or {}, explore=explore)
-        learner = self.learner(name)
-        form = ActionForm(self._content.spaces.action)
-        if explore or not isinstance(learner, HasGreedyAction | HasActionValues):
-            action = action_of(pair_of(learner.act(seen))[0], form)
-        elif isinstance(learner, HasGreedyAction):
-            action = action_of(learner.greedy_action(seen), form)
-        else:
-            action = int(np.argmax(learner.action_values(seen)))
-        return action + form.first if form.is_discrete else action
+        learner, form = self.learner(name), ActionForm(self._content.spaces.action)
+        # As in a run of one: what learners are given is their own, and what they answer is checked.
+        bank = LearnerList([learner], [form.space])
+        is_greedy = not explore and isinstance(learner, HasGreedyAction | HasActionValues)
+        choose = greedy_choice(bank) if is_greedy else exploring_choice(bank)
+        return form.rows(form.uncounted(choose(_ONLY, seen)))[0]
 
     def learner(self, name: str) -> Learner:
         """A learner, as it was when its training ended: it can act, and go on learning.
@@ -212,14 +216,14 @@ class Agent:
     def _trained(self, one: TrainedLearner) -> TrainedLearner:
         return replace(one, state=self._made[one.name][0].state()) if one.name in self._made else one
 
-    def _seen(self, observation: Any, info: Mapping[str, Any], *, explore: bool) -> tuple[Any, str]:
-        """What the acting learner sees, and who that is."""
-        raw = entry_of(self._content, observation, info)[None]
+    def _seen(self, observation: Any, info: Mapping[str, Any], *, explore: bool) -> tuple[NDArray[Any], str]:
+        """What the acting learner sees (``[1, …]``), and who that is."""
+        raw = entry_of(self._content, observation, info)
         if self._now is not None:
-            return self._sights[self._now].push(_ONLY, raw)[0], self._now
+            return self._sights[self._now].push(_ONLY, raw), self._now
         self._now = self._next(explore=explore)
         self._sights[self._now] = Sight([self._learner(self._now)[1]])
-        return self._sights[self._now].start(_ONLY, raw)[0], self._now
+        return self._sights[self._now].start(_ONLY, raw), self._now
 
     def _next(self, *, explore: bool) -> str:
         """Who acts in the coming episode."""

@@ -90,6 +90,11 @@ class Evaluation:
     seed: int
     played: tuple[Played, ...]
 
+    @property
+    def num_cut(self) -> int:
+        """How many episodes did not end; those of an ensemble are its learners', and counted with these."""
+        return sum(one.num_cut for one in self.played if one.learner != ENSEMBLE)
+
     def of(self, learner: str, mode: Mode = "greedy") -> Played:
         """The episodes of one learner.
 
@@ -126,7 +131,7 @@ def evaluate_learners(
     finally:
         close_environments([world.environment])
     if len(content.learners) > 1:
-        played += _of_ensemble(content, played, selected)
+        played += _of_ensemble(content, played, selected, max_steps)
     return Evaluation(config.name, seed, tuple(played))
 
 
@@ -164,13 +169,20 @@ def _of_learner(
             for episode in range(episodes)
         ]
         length, episode_return = (np.array(column) for column in zip(*rows, strict=True))
-        # One that ends with the last step that it is allowed may count as cut: nobody can tell any more.
-        played.append(Played(content.names[index], mode, episode_return, length, int((length >= max_steps).sum())))
+        played.append(Played(content.names[index], mode, episode_return, length, _num_cut(length, max_steps)))
     return played
 
 
+def _num_cut(length: NDArray[np.int64], max_steps: int) -> int:
+    """How many of the episodes with these lengths (``int64[episodes]``) were cut off.
+
+    One that ends with the last step that it is allowed may count as cut: nobody can tell any more.
+    """
+    return int((length >= max_steps).sum())
+
+
 def _of_ensemble(
-    content: AgentContent, played: list[Played], selected: Mapping[Mode, NDArray[np.int64]]
+    content: AgentContent, played: list[Played], selected: Mapping[Mode, NDArray[np.int64]], max_steps: int
 ) -> list[Played]:
     """The episodes of who plays: since nobody learns, those that they have played already."""
     found = []
@@ -181,5 +193,5 @@ def _of_ensemble(
             rows = [of_mode[name] for name in content.names]
             returns = np.stack([row.episode_return for row in rows])[chosen, episodes]
             lengths = np.stack([row.length for row in rows])[chosen, episodes]
-            found.append(Played(ENSEMBLE, mode, returns, lengths, sum(row.num_cut for row in rows)))
+            found.append(Played(ENSEMBLE, mode, returns, lengths, _num_cut(lengths, max_steps)))
     return found

@@ -16,16 +16,19 @@ from apel.building.registry import LEARNERS, SELECTORS, foreign_option, foreign_
 from apel.configs import EnvironmentConfig, LearnerConfig, SelectorConfig, name_of
 from apel.environments import World
 from apel.environments.nested import converter
-from apel.experience.channels import ChannelSpace
+from apel.experience.channels import ChannelSpace, form_of
 from apel.experience.joint_space import JointSpace
-from apel.experience.observation_form import ObservationForm
+from apel.experience.observation_form import BorderError, shown
+from apel.experience.parts import FlattenedSpace
 from apel.experience.representations import View
+from apel.experience.spaces import Spaces
 from apel.learners.base import Learner
 from apel.learners.starting import STREAMS, with_own
 from apel.numerics.views import Row
 from apel.run.rule import RuleSelector
 from apel.run.selection import Selector, common_blocks
 from apel.run.state import RUNNING, Book
+from apel.run.user_code import in_a_line
 from apel.selectors import Fixed
 
 
@@ -38,7 +41,14 @@ def trained_agent(
     run: int,
     origin: Mapping[str, Any],
 ) -> AgentContent:
-    """The agent that a run of a book has come to. The best learner is told by what its selector thinks of each."""
+    """The agent that a run of a book has come to. The best learner is told by what its selector thinks of each.
+
+    Raises
+    ------
+    ValueError
+        If two learners have the same name.
+    """
+    _check_names([one.name for one in learners])
     row, floor = book.selector_state[run].copy(), None
     if book.floor > 0.0 and book.steps[run] >= book.floor_after:
         known = (book.acting_steps[run], book.acting_length[run], book.floor_stream[run])
@@ -56,6 +66,12 @@ def trained_agent(
         scores=tuple(scores.tolist()),
         score_name=name,
     )
+
+
+def _check_names(names: Sequence[str]) -> None:
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        message = f"names: found {twice[0]!r} twice in {list(names)}, expected a name of its own for each learner"
+        raise ValueError(message)
 
 
 def estimates(row: Row, num_learners: int) -> tuple[str, NDArray[np.float64]]:
@@ -97,8 +113,8 @@ def make_trained(content: AgentContent, index: int, seed: int | None = None) -> 
     ValueError
         If it cannot be made here, or does not take its state.
     """
-    one = content.learners[index]
-    made = make_learner(one.config, content.spaces, int(content.origin.get("seed", 0)) if seed is None else seed, index)
+    one, known = content.learners[index], _known_spaces(content)
+    made = make_learner(one.config, known, int(content.origin.get("seed", 0)) if seed is None else seed, index)
     try:
         made[0].restore(one.state if seed is None else with_own(one.state, made[0].state(), STREAMS))
     except (ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
@@ -109,18 +125,58 @@ def make_trained(content: AgentContent, index: int, seed: int | None = None) -> 
     return made
 
 
+def _known_spaces(content: AgentContent) -> Spaces:
+    """As its learners know them, some of whom see parts whole. Agents of before hold only vectors of these there."""
+    known, raw = content.spaces, content.raw_space
+    if type(known.observation) is not spaces.Box or not isinstance(raw, spaces.Dict | spaces.Tuple):
+        return known
+    return known._replace(observation=FlattenedSpace(raw, known.observation))
+
+
 def entry_of(content: AgentContent, observation: Any, info: Mapping[str, Any]) -> NDArray[Any]:
-    """An observation as an environment gives it, in the form in which learners' views take it."""
+    """An observation as an environment gives it, as runs have it: an entry ``[1, …]`` of its own, in the form of the
+    space (`apel.experience.channels.form_of`).
+
+    It may be given as learners' views take it, too: as the vector that is made of its parts.
+
+    Raises
+    ------
+    BorderError
+        If it cannot be converted, as in a run, holds NaN, or a counted value that is none of the space's; but not the
+        latter two where the environment is one whose observations need not lie in its space.
+    """
     space = content.spaces.observation
+    form = form_of(space)
+    entry = np.zeros((1, *form.shape), dtype=form.dtype)
+    form.write(_converted(content, observation, info), entry, 0)
+    # Beyond the bounds of a Box may lie what an environment of Gymnasium's shows in a run, too: nobody checks these.
+    if content.environment.observations == "check" and len(form.outside(entry, terminal=[True])):
+        raise form.error_of(entry[0])
+    return entry
+
+
+def _converted(content: AgentContent, observation: Any, info: Mapping[str, Any]) -> Any:
+    """What the layers around an environment make of its observation (`apel.environments.layers`)."""
+    space, raw = content.spaces.observation, content.raw_space
     if isinstance(space, ChannelSpace):
-        return np.asarray(space.entry(observation, {**dict.fromkeys(space.signals, 0.0), **info}))
-    if isinstance(observation, Mapping | tuple):
-        if isinstance(space, JointSpace):
-            return space.vector(observation)
-        if content.raw_space is not None:
-            parts: Any = converter(content.raw_space)(observation)
-            observation = spaces.flatten(content.raw_space, parts)
-    return np.asarray(ObservationForm(space).converted(observation))
+        return _channels(space, observation, info)
+    if isinstance(observation, np.ndarray) and observation.shape == space.shape:
+        return observation
+    if isinstance(space, JointSpace):
+        return space.vector(observation)
+    if raw is None or (isinstance(raw, spaces.Dict) and not isinstance(observation, Mapping)):
+        return observation
+    parts: Any = converter(raw)(observation)
+    return spaces.flatten(raw, parts)
+
+
+def _channels(space: ChannelSpace, observation: Any, info: Mapping[str, Any]) -> NDArray[Any]:
+    """Signals that nobody has told are 0."""
+    try:
+        return space.entry(observation, {**dict.fromkeys(space.signals, 0.0), **info})
+    except (KeyError, IndexError, TypeError) as error:
+        message = f"found the observation {shown(observation)}, expected the channels {list(space)}: {in_a_line(error)}"
+        raise BorderError(message) from error
 
 
 def foreign_names(content: AgentContent) -> list[str]:

@@ -138,7 +138,7 @@ def watch_agent(folder: str, wish: Wish, options: FilmOptions, seed: int, *, exp
 
 def _remarks(evaluation: Any, agent: Agent) -> list[str]:
     lines = [f"the best is {agent.best}, by {agent.content.score_name}"] if len(agent.names) > 1 else []
-    if cut := sum(one.num_cut for one in evaluation.played):
+    if cut := evaluation.num_cut:
         lines.append(f"{cut} episodes did not end, and were cut off")
     return lines
 

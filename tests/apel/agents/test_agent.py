@@ -223,6 +223,19 @@ def test_interval_of_many_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert together == pytest.approx((returns.mean() - 0.1, returns.mean() + 0.1), abs=0.02)
 
 
+def test_cut_episodes(both: Path) -> None:
+    """The ensemble's are those of whom it selected; as episodes they count once, with the learner that played them."""
+    agent = apel.load(both, acting="selector")
+    lengths = np.sort(np.concatenate([one.length for one in agent.evaluate(episodes=20, seed=1).played]))
+    most = int(lengths[len(lengths) // 2])
+    found = agent.evaluate(episodes=20, seed=1, max_steps=most)
+    assert [one.num_cut for one in found.played] == [int((one.length == most).sum()) for one in found.played]
+    of_learners = [found.of(name, mode).num_cut for name in agent.names for mode in evaluation.MODES]
+    assert found.num_cut == sum(of_learners) > 0
+    together = found.of("(ensemble)", "as trained").num_cut
+    assert together < sum(found.of(name, "as trained").num_cut for name in agent.names)
+
+
 def test_evaluation_learns_nothing(both: Path) -> None:
     """The agent is afterwards what it was before."""
     agent = apel.load(both)

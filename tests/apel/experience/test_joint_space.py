@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import apel
 from apel.experience.joint_space import JointSpace, is_joint
+from apel.experience.observation_form import BorderError
 from apel.experience.representations import Representation, View
 from apel.learners.deep.encoding import Encoder
 
@@ -113,3 +114,70 @@ def test_networks_see_blackjack_as_before() -> None:
     for seed in range(5):
         seen = world.environment.reset(seed=seed)[0]
         assert encoder(seen[None]).tolist() == [plain.reset(seed=seed)[0].tolist()]
+
+
+_PAIR = spaces.Tuple([spaces.Discrete(3), spaces.Discrete(2)])
+_HAND = spaces.Dict({"hand": spaces.MultiDiscrete([3, 3]), "rest": spaces.Tuple([spaces.MultiBinary(2)])})
+
+
+@pytest.mark.parametrize(
+    ("parts", "observation", "expected"),
+    [
+        (_PAIR, (1.9, 0), r"^0: .*1\.9 cannot be stored as int64 without loss"),
+        (_PAIR, (1, 0, 5), r"found the observation \(1, 0, 5\).*it is no tuple of 2"),
+        (_PAIR, (1,), "it is no tuple of 2"),
+        (_PAIR, 1, "it is no tuple of 2"),
+        (_PAIR, {0: 1, 1: 0}, "it is no tuple of 2"),
+        (_PAIR, (1, [0, 1]), r"^1: .*it has the shape \(2,\), not \(\)"),
+        (_PAIR, (1, "0"), "^1: .*it holds something that is no number"),
+        (_HAND, {"hand": [1, 2, 0], "rest": ([1],)}, r"^hand: .*it has the shape \(3,\), not \(2,\)"),
+        (_HAND, {"hand": [1, 2], "rest": ([1, 0.5],)}, r"^rest\.0: .*0\.5 cannot be stored as int8 without loss"),
+        (_HAND, {"hand": [1, 2], "rest": ()}, "^rest: .*it is no tuple of 1"),
+        (_HAND, {"hand": [1, 2]}, "it has no 'rest'"),
+        (_HAND, ([1, 2], ([1, 0],)), "it has no 'hand'"),
+    ],
+)
+def test_bad_parts(parts: Any, observation: Any, expected: str) -> None:
+    """Parts are neither cut nor do they slide into each other: what is none of the space's is refused, and where."""
+    with pytest.raises(BorderError, match=expected):
+        JointSpace(parts).vector(observation)
+
+
+@pytest.mark.parametrize(
+    ("parts", "observation", "expected"),
+    [
+        (_PAIR, [2, True], [2, 1]),
+        (_PAIR, np.array([2.0, 1.0]), [2, 1]),
+        (_HAND, {"hand": (1, 2), "rest": [[True, False]], "more": 7}, [1, 2, 1, 0]),
+    ],
+)
+def test_parts_in_other_forms(parts: Any, observation: Any, expected: list[int]) -> None:
+    """What says the same is the same, as everywhere else; a Dict may hold more than is declared."""
+    assert JointSpace(parts).vector(observation).tolist() == expected
+
+
+class Cards(gymnasium.Env[Any, int]):
+    """Shows a pair."""
+
+    observation_space: Any = _PAIR
+    action_space: Any = spaces.Discrete(2)
+
+    def __init__(self, shown: Any) -> None:
+        self._shown = shown
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        return (0, 0), {}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self._shown, 0.0, True, False, {}
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"), [((1.9, 0), "step 1: 0: found"), ((7, 0), r"step 1: .*7 at \[0\] is not from 0 to 2")]
+)
+def test_runs_refuse_bad_parts(shown: Any, expected: str) -> None:
+    """A run ends with the step that was wrong, whether its parts cannot be converted or lie outside of the space."""
+    world = apel.make_world(apel.EnvironmentConfig(Cards, {"shown": shown}), 1)
+    ensemble = apel.Ensemble(world, [apel.LearnerConfig("q_learning")], apel.Uniform(), seed=1, num_episodes=2)
+    with pytest.raises(ValueError, match=expected):
+        list(ensemble.run())

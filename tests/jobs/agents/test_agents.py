@@ -15,12 +15,14 @@ import pytest
 from PIL import Image
 
 import apel
-from apel.agents import Agent
+from apel.agents import Agent, Evaluation, Played
+from apel.agents.evaluation import ENSEMBLE
 from apel.agents.files import AGENT_FILE
 from apel.building import make_bank
 from cluster.shard import Execution
 from jobs.agents.exporting import agent_of
 from jobs.agents.watching import film_agent
+from jobs.cli.agent_commands import _remarks
 from jobs.experiment.plan import Plan
 from jobs.experiment.run_plans import run_plan
 from jobs.experiment.spec_files import load_experiment
@@ -332,6 +334,15 @@ def test_foreign_code(maze: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     code, err = call(capsys, "evaluate", "agent", "--episodes", "2")
     assert (code, "learners.mine.type: 'tests.user_code:Walker'" in err) == (2, True)
     assert call(capsys, "evaluate", "agent", "--episodes", "2", "--trust")[0] == 0
+
+
+def test_cut_episodes_are_told_once() -> None:
+    """Those of the ensemble are episodes of its learners."""
+    one = np.ones(4)
+    played = [Played(name, "greedy", one, one.astype(np.int64), cut) for name, cut in (("a", 3), (ENSEMBLE, 2))]
+    agent: Any = SimpleNamespace(names=["a"])
+    told = _remarks(Evaluation("E", 0, tuple(played)), agent)
+    assert told == ["3 episodes did not end, and were cut off"]
 
 
 class Pusher(gymnasium.Env[np.ndarray, np.ndarray]):
