@@ -1,7 +1,8 @@
 """Algorithm 5 for one run in one process: the readable statement of what this project does, and its API for a script.
 
 Everything faster (shards of many runs, compiled streaks, `cluster`) gives the same rows as this loop; tests hold them
-against it.
+against it. Of environments alone that carry something from episode to episode there is one here, and one for each
+learner in a job.
 """
 
 from __future__ import annotations

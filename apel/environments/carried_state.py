@@ -81,7 +81,7 @@ class Carried:
     def __init__(self, environment: gymnasium.Env[Any, Any]) -> None:
         self._actions = ActionForm(environment.action_space)
         self._carriers = list(_carriers(environment))
-        self.is_taped = any(not is_known_layer(one) and one not in self._carriers for one in layers(environment))
+        self.is_taped = any(not (is_known_layer(one) or _is_carrier(one)) for one in layers(environment))
         self.tape: Tape | None = None
 
     def begin(self, seed: int) -> Tape:
@@ -134,32 +134,33 @@ class Carried:
 
 
 def _carriers(environment: gymnasium.Env[Any, Any]) -> Iterator[Any]:
-    """The layers that say what they carry, and Gymnasium's that normalise; the outermost first."""
-    for layer in layers(environment):
-        says = all(callable(getattr(type(layer), name, None)) for name in ("state", "restore"))
-        if says or isinstance(layer, NormalizeObservation | NormalizeReward):
-            yield layer
+    """The layers of which it is known what they carry; the outermost first."""
+    return (layer for layer in layers(environment) if _is_carrier(layer))
+
+
+def _is_carrier(layer: Any) -> bool:
+    """Whether it says what it carries, or is one of Gymnasium's that normalise: a subclass may carry more."""
+    says = all(callable(getattr(type(layer), name, None)) for name in ("state", "restore"))
+    return says or type(layer) in (NormalizeObservation, NormalizeReward)
 
 
 def _state_of(layer: Any) -> State:
-    match layer:
-        case NormalizeObservation():
-            return _moments(layer.obs_rms)
-        case NormalizeReward():
-            return {**_moments(layer.return_rms), "discounted_reward": np.array(layer.discounted_reward)}
+    if type(layer) is NormalizeObservation:
+        return _moments(layer.obs_rms)
+    if type(layer) is NormalizeReward:
+        return {**_moments(layer.return_rms), "discounted_reward": np.array(layer.discounted_reward)}
     state: State = layer.state()
     return state
 
 
 def _restore(layer: Any, state: State) -> None:
-    match layer:
-        case NormalizeObservation():
-            _set_moments(layer.obs_rms, state)
-        case NormalizeReward():
-            _set_moments(layer.return_rms, state)
-            layer.discounted_reward = np.array(state["discounted_reward"])
-        case _:
-            layer.restore(state)
+    if type(layer) is NormalizeObservation:
+        _set_moments(layer.obs_rms, state)
+    elif type(layer) is NormalizeReward:
+        _set_moments(layer.return_rms, state)
+        layer.discounted_reward = np.array(state["discounted_reward"])
+    else:
+        layer.restore(state)
 
 
 def _moments(running: Any) -> State:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import gymnasium
@@ -33,6 +33,10 @@ from apel.numerics.seeding import Role, make_key
 from apel.run.user_code import faults_of, in_a_line
 
 _PLAIN_PARTS = "expected parts that are Box, Discrete, MultiDiscrete or MultiBinary; a wrapper can leave out the others"
+_compared_already: dict[tuple[int, str], Any] = {}
+"""Of which maker and options it was seen in this process that they make the same tables again; and the maker itself, so
+that its number is no other one's.
+"""
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,8 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
     Raises
     ------
     ValueError
-        If the environment is unknown, refuses its options, or cannot be used by an ensemble.
+        If the environment is unknown, refuses its options, has other tables each time that it is made, or cannot be
+        used by an ensemble.
     """
     options = dict(config.options)
     if config.run_seed is not None:
@@ -96,6 +101,8 @@ def make_world(config: EnvironmentConfig, run_seed: int, factory: Any = None) ->
     try:
         with faults_of("environment"):
             world = _world(config, run_seed, environment)
+            if world.model is not None:
+                _check_made_again(config, options, factory, world.model)
     except BaseException:
         close_environment(environment)
         raise
@@ -131,12 +138,15 @@ def _seed_of_run(config: EnvironmentConfig, run_seed: int, factory: Any) -> int:
     """What an environment that differs from run to run is told: 63 bits where it takes as many, else 31, different ones
     for different runs' seeds.
     """
-    key = make_key(run_seed, Role.MAZE)
-    made = config.id if factory is None else factory
-    if isinstance(made, str):
-        made = _entry_point(made)
+    key, made = make_key(run_seed, Role.MAZE), _maker(config, factory)
     is_wide = is_known_maker(made) or declares_wide_seeds(made)
     return key >> 1 if is_wide else permuted(run_seed, int(Role.MAZE))
+
+
+def _maker(config: EnvironmentConfig, factory: Any) -> Any:
+    """What makes the environment: a class, a function, or an entry point's text."""
+    made = config.id if factory is None else factory
+    return _entry_point(made) if isinstance(made, str) else made
 
 
 def _entry_point(name: str) -> Any:
@@ -218,10 +228,42 @@ def _keyword_meant(error: Exception, made_by: Any) -> str:
 
 def _check_map(config: EnvironmentConfig, environment: gymnasium.Env[Any, Any]) -> None:
     """An environment is made anew in every process; one that is drawn without a seed would be another one there."""
-    is_lake, given = isinstance(environment.unwrapped, FrozenLakeEnv), config.options
+    is_lake, spec = isinstance(environment.unwrapped, FrozenLakeEnv), environment.unwrapped.spec
+    given = config.options if spec is None else {**spec.kwargs, **config.options}
     if is_lake and given.get("map_name", "") is None and given.get("desc") is None:
         message = (
             f"{config.name}: map_name: found None and no desc, for which a map is drawn that nobody can draw again; "
             "expected a desc, such as one that generate_random_map gave once"
         )
         raise ValueError(message)
+
+
+def _check_made_again(config: EnvironmentConfig, options: dict[str, Any], factory: Any, model: FiniteModel) -> None:
+    """Of what a user makes it is not known whether it is drawn without a seed: it is made a second time, once for all
+    runs of a process, and its tables are held against those of the first.
+    """
+    made = _maker(config, factory)
+    key = id(made), repr((config.id, config.options, config.run_seed))
+    if is_known_maker(made) or key in _compared_already:
+        return
+    again = _make(config, options, factory)
+    keep_open(again)
+    try:
+        other = tables_of(again, config.name).model
+    finally:
+        close_environment(again)
+    if other is None or not _are_alike(model, other):
+        message = (
+            f"{config.name}: found other tables when it was made a second time with the same options, expected the "
+            "same: it draws without a seed, or carries something over from one that was made before, and would be "
+            "another one in every process. What is drawn has to follow from its options, such as a fixed desc or a "
+            "seed that run_seed names"
+        )
+        raise ValueError(message)
+    _compared_already[key] = made
+
+
+def _are_alike(one: FiniteModel, other: FiniteModel) -> bool:
+    """Whether two tables are the same, whatever their environments say of themselves beside them."""
+    names = [field.name for field in fields(FiniteModel) if field.name != "info"]
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from apel.dynamics.finite_model import FiniteModel, stack_models
+from apel.experience.action_form import ActionForm
 from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch
 from apel.learners.banks.batched_learner import NO_ERRORS
 from apel.learners.banks.compiled_streaks import learn_episodes, play_compiled_streaks, skip_episodes
@@ -20,6 +22,19 @@ from apel.learners.tabular.tables import TabularLearner, make_tables, restore_ta
 from apel.numerics.streams import episode_seed, evaluation_seed, stream_of_seed
 from apel.run.selection import Selector
 from apel.run.state import Book, is_compiled
+
+
+class StateNumbers:
+    """How state numbers are read, of finite environments whose features take so many values each."""
+
+    def __init__(self, feature_sizes: Sequence[int]) -> None:
+        self._sizes = tuple(feature_sizes)
+
+    def decode(self, entries: NDArray[Any]) -> NDArray[np.int64]:
+        """``int64[…, features]``, or ``int64[…]`` where there is only one feature."""
+        if len(self._sizes) == 1:
+            return entries.astype(np.int64)
+        return np.stack(np.unravel_index(entries, self._sizes), axis=-1)
 
 
 class CompiledBank:
@@ -56,6 +71,8 @@ class CompiledBank:
         freezes: bool = False,
         raises: bool = False,
     ) -> None:
+        self.environment = StateNumbers(models[0].feature_sizes)
+        self.actions = ActionForm(spaces.Discrete(models[0].num_actions))
         self._world = stack_models(models)
         self._keys = np.array(environment_keys, dtype=np.uint64)
         self._performance, self._raises = performance, raises

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from apel.experience.action_form import ActionForm
 from apel.experience.trajectory import Episodes, Trajectory, batch_of
 from apel.learners.base import Failure, Performance, Played, StreakLimit
 from apel.numerics.compiled import njit
@@ -43,8 +45,26 @@ def measure(performance: Performance, trajectory: Trajectory) -> float:
     return float(performance(trajectory))
 
 
+class Decoder(Protocol):
+    """What knows how observations stand in trajectories, see `apel.dynamics.batched_environment.BatchedEnvironment`."""
+
+    def decode(self, entries: NDArray[Any]) -> NDArray[Any]:
+        """The raw observations ``[…, features]``, or ``[…]`` where there is only one feature."""
+        ...
+
+
 class Evaluator(Protocol):
-    """What plays single episodes without exploring."""
+    """What plays single episodes without exploring, and knows the form of what is in trajectories."""
+
+    @property
+    def environment(self) -> Decoder:
+        """The environments of all runs."""
+        ...
+
+    @property
+    def actions(self) -> ActionForm:
+        """The form of their actions."""
+        ...
 
     def evaluate_one(self, run: int, episode: int) -> tuple[int, float]:
         """Length and return of one episode without exploring or learning."""
@@ -57,7 +77,8 @@ class Streaks:
     Parameters
     ----------
     evaluator:
-        Measures the episodes that the criterion wants measured without exploring.
+        Measures the episodes that the criterion wants measured without exploring, and knows what a user's
+        ``performance`` is shown.
     runs, book, selector, me, limit, record:
         See `apel.learners.base.LearnerBank`.
     performance:
@@ -114,14 +135,30 @@ class Streaks:
 
     def _take_in(self, run: int, trajectory: Trajectory) -> None:
         book, episode = self._book, int(self._book.episode[run])
+        shown = self._shown(trajectory) if callable(self._performance) else trajectory
         with faults_of("performance"):
-            performance = measure(self._performance, trajectory)
+            performance = measure(self._performance, shown)
         total = trajectory.undiscounted_return
         judged = self._judged(run, trajectory)
         advance_run(book, self._selector, run, len(trajectory), total, performance, judged)
         self._rows.append((run, episode, len(trajectory), total, performance, judged, trajectory.terminated))
         if self._record:
             self._trajectories.append(trajectory)
+
+    def _shown(self, trajectory: Trajectory) -> Trajectory:
+        """What a user's function gets: the same form whatever plays, in arrays of its own.
+
+        Banks keep state numbers and actions in as few bytes as hold them, in which a user's arithmetic would wrap
+        around; and what it writes must not reach what is recorded, and what others learn from.
+        """
+        probability = trajectory.probability
+        return replace(
+            trajectory,
+            observation=np.array(self._evaluator.environment.decode(trajectory.observation)),
+            action=self._evaluator.actions.column(self._evaluator.actions.rows(trajectory.action)),
+            reward=trajectory.reward.copy(),
+            probability=None if probability is None else probability.copy(),
+        )
 
     def _judged(self, run: int, trajectory: Trajectory) -> float:
         """What the criterion measures of the run's episode."""

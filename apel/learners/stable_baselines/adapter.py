@@ -39,14 +39,19 @@ from apel.learners.stable_baselines.parts import (
     check_algorithm,
     check_options,
     construct,
-    constructor_options,
     off_policy_algorithm,
     set_up,
     train_when_due,
 )
 from apel.learners.stable_baselines.process_randomness import ProcessRandomness
 from apel.learners.stable_baselines.sb3_spaces import check_actions
-from apel.learners.stable_baselines.stored_state import algorithm_state, restore_algorithm
+from apel.learners.stable_baselines.stored_state import (
+    algorithm_state,
+    learned_modules,
+    learned_variables,
+    restore_algorithm,
+    with_own_options,
+)
 from apel.learners.stable_baselines.torch_trees import arrays_of, state_dict_of
 from apel.learners.supported_spaces import sb3_spaces
 from apel.numerics import rounding, threads
@@ -258,9 +263,11 @@ class StableBaselines:
         if sizes[0] != sizes[1]:
             message = f"buffer_size: found {sizes[1]}, expected {sizes[0]}, as of the learner that it begins with"
             raise ValueError(message)
-        told = {name: own["numbers"][name] for name in constructor_options(type(algorithm)) if name in own["numbers"]}
         kept = {name: own[name] for name in ("frozen", "random", "random_actions")}
-        self.restore({**state, **kept, "numbers": {**state["numbers"], **told}})
+        numbers = with_own_options(state["numbers"], own["numbers"], type(algorithm))
+        modules = learned_modules(state["modules"], own["modules"])
+        variables = learned_variables(state["variables"], own["variables"])
+        self.restore({**state, **kept, "numbers": numbers, "modules": modules, "variables": variables})
 
     def save(self, path: str) -> None:
         """Write the algorithm as stable-baselines3's own zip file, which its ``load`` reads; without replay buffer, as

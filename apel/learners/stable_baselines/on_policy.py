@@ -18,7 +18,13 @@ from apel.learners.base import State, Transition
 from apel.learners.stable_baselines.parts import Feed, check_options, construct, on_policy_algorithm, set_up
 from apel.learners.stable_baselines.process_randomness import ProcessRandomness
 from apel.learners.stable_baselines.sb3_spaces import check_actions
-from apel.learners.stable_baselines.stored_state import numbers_of
+from apel.learners.stable_baselines.stored_state import (
+    copied,
+    learned_modules,
+    numbers_of,
+    whole,
+    with_own_options,
+)
 from apel.learners.stable_baselines.torch_trees import arrays_of, state_dict_of
 from apel.learners.supported_spaces import sb3_on_policy_spaces
 from apel.numerics import rounding, threads
@@ -134,13 +140,12 @@ class StableBaselinesOnPolicy:
     def state(self) -> State:
         """Networks, optimiser, the rollout under way, counters and random states."""
         algorithm, buffer = self.algorithm, self._rollout.buffer
-        arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
         return {
             "numbers": numbers_of(algorithm),
             "modules": arrays_of(algorithm.get_parameters()),
             "episode_starts": np.array(algorithm._last_episode_starts),
             "buffer_numbers": numbers_of(buffer),
-            "buffer_arrays": {name: array.copy() for name, array in arrays.items()},
+            "buffer_arrays": whole(buffer),
             "random": self._randomness.state(),
         }
 
@@ -151,8 +156,26 @@ class StableBaselinesOnPolicy:
         algorithm.set_parameters({name: state_dict_of(stored) for name, stored in state["modules"].items()})
         algorithm._last_episode_starts = np.array(state["episode_starts"])
         vars(buffer).update(state["buffer_numbers"])
-        vars(buffer).update({name: np.array(array) for name, array in state["buffer_arrays"].items()})
+        vars(buffer).update({name: copied(column) for name, column in state["buffer_arrays"].items()})
         self._randomness.restore(state["random"])
+
+    def begin_from(self, state: State) -> None:
+        """Begin with networks, optimiser, counters and rollout of another one, see `apel.learners.starting.Beginner`.
+
+        What the constructor is told is no counter, and stays what it was told here. A rollout of another ``n_steps``
+        does not fit: then the first one begins empty.
+        """
+        own, algorithm = self.state(), self.algorithm
+        numbers = with_own_options(state["numbers"], own["numbers"], type(algorithm))
+        # The next step is the first of an episode, wherever the other one stood.
+        kept = {name: own[name] for name in ("random", "episode_starts")}
+        if state["numbers"]["n_steps"] != algorithm.n_steps:
+            kept |= {name: own[name] for name in ("buffer_numbers", "buffer_arrays")}
+        else:
+            buffer = type(self._rollout.buffer)
+            kept["buffer_numbers"] = with_own_options(state["buffer_numbers"], own["buffer_numbers"], buffer)
+        modules = learned_modules(state["modules"], own["modules"])
+        self.restore({**state, **kept, "numbers": numbers, "modules": modules})
 
     def _batch(self, observation: Any) -> Any:
         """A batch of one, in the dtype and layout that SB3's wrappers give to the algorithm."""

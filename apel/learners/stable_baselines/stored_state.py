@@ -2,20 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from apel.learners.base import State
+from apel.learners.stable_baselines.parts import constructor_options
 from apel.learners.stable_baselines.torch_trees import arrays_of, state_dict_of, tensors_of
 
 _OF_PARTS = ("observations", "next_observations")
-"""Columns of a replay buffer that are dictionaries where observations have parts."""
+"""Columns of a buffer that are dictionaries where observations have parts."""
+_CONSTANTS = frozenset({"ent_coef_tensor"})
+"""Tensors that SB3 stores, but that say what the constructor was told: of SAC and its kin an entropy coefficient that
+is not learned.
+"""
+_GROUPS = "param_groups"
+"""Under this name the state of an optimiser of torch has its options."""
 
 
 def numbers_of(owner: Any) -> State:
     """The attributes that are numbers or texts."""
     return {name: value for name, value in vars(owner).items() if isinstance(value, bool | int | float | str)}
+
+
+def with_own_options(numbers: State, own: State, kind: type) -> State:
+    """The ``numbers`` of another one (`numbers_of`), but of all that a constructor of this kind is told the ``own``."""
+    told = {name: own[name] for name in constructor_options(kind) if name in own}
+    return {**numbers, **told}
+
+
+def learned_variables(variables: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``variables`` of another one (`variables_of`, as arrays), with the ``own`` constants."""
+    return {**variables, **{name: tensor for name, tensor in own.items() if name in _CONSTANTS}}
+
+
+def learned_modules(modules: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``modules`` of another one (an algorithm's parameters, as arrays), with the ``own`` options of optimisers.
+
+    An optimiser of another kind cannot go on with what that one remembers of gradients, and begins afresh.
+    """
+    return {name: _learned_module(module, own.get(name)) for name, module in modules.items()}
+
+
+def _learned_module(module: Any, own: Any) -> Any:
+    if not (_is_optimiser(module) and _is_optimiser(own)):
+        return module
+    kinds = [[sorted(group) for group in one[_GROUPS]] for one in (module, own)]
+    return {**module, _GROUPS: own[_GROUPS]} if kinds[0] == kinds[1] else own
+
+
+def _is_optimiser(module: Any) -> bool:
+    return isinstance(module, dict) and _GROUPS in module
 
 
 def variables_of(algorithm: Any) -> dict[str, Any]:
@@ -31,9 +69,25 @@ def filled(replay: Any) -> State:
     """Copies of the arrays of a replay buffer, without the rows that were never written."""
     # One row more than there are steps: with optimize_memory_usage it holds the last next observation.
     rows = min(replay.size() + 1, replay.buffer_size)
+    return {name: _first(value, rows, replay.buffer_size) for name, value in _columns(replay).items()}
+
+
+def whole(buffer: Any) -> State:
+    """Copies of the arrays of a rollout buffer."""
+    return {name: copied(value) for name, value in _columns(buffer).items()}
+
+
+def copied(column: Any) -> Any:
+    """A column of a buffer with arrays of its own."""
+    if isinstance(column, dict):
+        return {part: copied(array) for part, array in column.items()}
+    return np.array(column)
+
+
+def _columns(buffer: Any) -> dict[str, Any]:
     return {
-        name: _first(value, rows, replay.buffer_size)
-        for name, value in vars(replay).items()
+        name: value
+        for name, value in vars(buffer).items()
         if isinstance(value, np.ndarray) or (isinstance(value, dict) and name in _OF_PARTS)
     }
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.envs.classic_control import CartPoleEnv
+from gymnasium.envs.toy_text import FrozenLakeEnv
+from gymnasium.envs.toy_text.frozen_lake import generate_random_map
 from gymnasium.utils.env_checker import check_env
 
 from apel.configs import EnvironmentConfig
@@ -589,6 +591,59 @@ def test_environment_by_import_path_is_truncated() -> None:
     world = make_world(EnvironmentConfig("tests:Reporter", {"label": "a"}, max_episode_steps=3), 0, Reporter)
     world.environment.reset(seed=0)
     assert [world.environment.step(0)[3] for _ in range(3)] == [False, False, True]
+
+
+def drawn_lake(seed: int | None = None) -> gymnasium.Env[Any, Any]:
+    """A lake whose map is another one each time, unless it is given a seed."""
+    return gymnasium.make("FrozenLake-v1", desc=generate_random_map(6, seed=seed))
+
+
+class DrawnMaze(FiniteEnvironment):
+    """The same of a user's class that declares its tables."""
+
+    def __init__(self, seed: int | None = None) -> None:
+        super().__init__(Maze(int(np.random.default_rng(seed).integers(2**32)), size=5).finite_model)
+
+
+@pytest.mark.parametrize("make", [drawn_lake, DrawnMaze])
+def test_tables_that_are_drawn_without_a_seed_are_refused(make: Any) -> None:
+    """No other process, and no run that resumes, would play the same ones."""
+    with pytest.raises(ValueError, match="tests:drawn: found other tables when it was made a second time"):
+        make_world(EnvironmentConfig("tests:drawn"), 0, make)
+    for options, run_seed in (({"seed": 3}, None), ({}, "seed")):
+        world = make_world(EnvironmentConfig("tests:drawn", options, run_seed=run_seed), 0, make)
+        assert world.model is not None
+
+
+def test_tables_of_a_registered_id_that_are_drawn_without_a_seed_are_refused() -> None:
+    """Whatever name the user's code goes by; and maps that Gymnasium draws for an id are told of as such."""
+    try:
+        gymnasium.register("tests/Drawn-v0", drawn_lake)
+        gymnasium.register("tests/Lake-v0", FrozenLakeEnv, max_episode_steps=100, kwargs={"map_name": None})
+        with pytest.raises(ValueError, match="tests/Drawn-v0: found other tables when it was made a second time"):
+            make_world(EnvironmentConfig("tests/Drawn-v0"), 0)
+        with pytest.raises(ValueError, match="tests/Lake-v0: map_name: found None and no desc"):
+            make_world(EnvironmentConfig("tests/Lake-v0"), 0)
+    finally:
+        for name in ("tests/Drawn-v0", "tests/Lake-v0"):
+            gymnasium.registry.pop(name, None)
+
+
+def test_tables_are_held_against_each_other_once_for_all_runs() -> None:
+    """It costs a second making of one environment, which is closed."""
+    events: list[str] = []
+
+    class Told(Maze):
+        def __init__(self, **options: Any) -> None:
+            events.append("made")
+            super().__init__(size=3, **options)
+
+        def close(self) -> None:
+            events.append("closed")
+
+    worlds = [make_world(EnvironmentConfig("tests:Told", run_seed="maze_seed"), seed, Told) for seed in range(3)]
+    assert all(world.model is not None for world in worlds)
+    assert events == ["made", "made", "closed", "made", "made"]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 from gymnasium import spaces
 
 from apel.learners.base import HasActionValues, HasGreedyAction, Transition
+from apel.learners.starting import begin
 from cluster.checkpoint import pack, unpack
 from tests.apel.learners.test_stable_baselines import SEED, assert_same_parameters, episodes, parameters
 
@@ -76,6 +77,14 @@ def test_alone_it_does_what_sb3_does(algorithm: str) -> None:
         found, expected = (getattr(one.replay_buffer, column) for one in (learner.algorithm, reference))
         np.testing.assert_array_equal(found, expected, err_msg=column)
     assert len({float(action[0]) for action in actions}) > 35
+
+
+def test_one_that_begins_with_another_keeps_its_own_entropy_coefficient() -> None:
+    """Where it is told, and not learned."""
+    old, new = (learner_of("stable_baselines3:SAC", seed=seed, ent_coef=0.1 * seed) for seed in (1, 2))
+    begin(new, unpack(pack(old.state())))
+    assert float(new.algorithm.ent_coef_tensor) == pytest.approx(0.2)
+    assert_same_parameters(parameters(new), old.algorithm.policy.state_dict())
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import gymnasium
@@ -13,6 +14,7 @@ from apel import ActingFloor, Ensemble
 from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import make_world
 from apel.learners.base import Transition
+from apel.learners.starting import begin
 from apel.selectors import Fixed, Uniform
 from cluster.checkpoint import pack, unpack
 
@@ -31,11 +33,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
 MAKERS: dict[str, Any] = {"PPO": PPO, "A2C": A2C}
 
 
-def made(name: str, seed: int = SEED) -> StableBaselinesOnPolicy:
-    path = f"stable_baselines3:{name}"
-    return StableBaselinesOnPolicy(
-        SPACE, spaces.Discrete(2), seed, algorithm=path, total_timesteps=300, **OPTIONS[name]
-    )
+def made(name: str, seed: int = SEED, **changed: Any) -> StableBaselinesOnPolicy:
+    options = {"algorithm": f"stable_baselines3:{name}", "total_timesteps": 300, **OPTIONS[name], **changed}
+    return StableBaselinesOnPolicy(SPACE, spaces.Discrete(2), seed, **options)
 
 
 def played(learner: Any, environment: Any, num_steps: int, seed: int | None) -> list[int]:
@@ -62,7 +62,9 @@ def environment() -> Any:
 def test_alone_it_does_what_sb3_does(name: str) -> None:
     """The same parameters, to the last bit, as ``learn()`` of SB3 itself, truncated episodes included."""
     learner = made(name)
-    reference = MAKERS[name]("MlpPolicy", environment(), seed=learner.algorithm.seed, device="cpu", **OPTIONS[name])
+    reference = MAKERS[name](
+        "MlpPolicy", environment(), seed=learner.algorithm.seed, device="cpu", **copy.deepcopy(OPTIONS[name])
+    )
     first = {key: value.clone() for key, value in reference.policy.state_dict().items()}
     reference.learn(300)
     actions = played(learner, environment(), reference.num_timesteps, learner.algorithm.seed)
@@ -84,6 +86,64 @@ def test_checkpoint(name: str, num_steps: int) -> None:
     assert played(one, environment(), 50, 2) == played(other, environment(), 50, 2)
     for key, value in one.algorithm.policy.state_dict().items():
         assert torch.equal(value, other.algorithm.policy.state_dict()[key]), key
+
+
+def test_checkpoint_of_observations_with_parts() -> None:
+    """They are columns of the rollout, too, and are stored with it."""
+    space = spaces.Dict({"track": SPACE})
+    learners = [
+        StableBaselinesOnPolicy(space, spaces.Discrete(2), seed, policy="MultiInputPolicy", **OPTIONS["PPO"])
+        for seed in (1, 2)
+    ]
+    played(learners[0], parts(), 40, 1)
+    learners[1].restore(unpack(pack(learners[0].state())))
+    assert played(learners[0], parts(), 40, 2) == played(learners[1], parts(), 40, 2)
+    for key, value in learners[0].algorithm.policy.state_dict().items():
+        assert torch.equal(value, learners[1].algorithm.policy.state_dict()[key]), key
+
+
+def parts() -> Any:
+    """CartPole, whose observations have one part."""
+    return gymnasium.wrappers.TransformObservation(
+        environment(), lambda seen: {"track": seen}, spaces.Dict({"track": SPACE})
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("PPO", {"gamma": 0.5, "ent_coef": 0.1, "n_epochs": 3, "batch_size": 8}),
+        ("PPO", {"n_steps": 48}),
+        ("PPO", {"n_steps": 20, "batch_size": 10}),
+        ("A2C", {"n_steps": 3, "gae_lambda": 0.7, "rms_prop_eps": 0.1}),
+        ("A2C", {"use_rms_prop": False}),
+    ],
+)
+@pytest.mark.parametrize("num_steps", [64, 75])
+def test_one_that_begins_with_another_keeps_its_own_options(name: str, changed: dict[str, Any], num_steps: int) -> None:
+    """It takes over what was learned, and then learns with its own options, whatever they are."""
+    old, new = made(name), made(name, 3, **changed)
+    played(old, environment(), num_steps, 1)
+    numbers, of_optimiser = new.state()["numbers"], optimiser_options(new)
+    begin(new, unpack(pack(old.state())))
+    assert all(vars(new.algorithm)[option] == numbers[option] for option in changed if option in numbers)
+    assert optimiser_options(new) == of_optimiser
+    buffer, is_alike = new.algorithm.rollout_buffer, "n_steps" not in changed
+    assert (buffer.gamma, buffer.gae_lambda) == (new.algorithm.gamma, new.algorithm.gae_lambda)
+    assert (buffer.buffer_size, len(buffer.rewards)) == (new.algorithm.n_steps, new.algorithm.n_steps)
+    assert buffer.pos == (old.algorithm.rollout_buffer.pos if is_alike else 0)
+    for key, value in old.algorithm.policy.state_dict().items():
+        assert torch.equal(value, new.algorithm.policy.state_dict()[key]), key
+    assert new.algorithm.num_timesteps == num_steps
+    before = {key: value.clone() for key, value in new.algorithm.policy.state_dict().items()}
+    played(new, environment(), 60, 2)
+    assert any(not torch.equal(before[key], value) for key, value in new.algorithm.policy.state_dict().items())
+
+
+def optimiser_options(learner: StableBaselinesOnPolicy) -> dict[str, Any]:
+    """By name; pairs as lists, as checkpoints have them."""
+    (options,) = learner.algorithm.policy.optimizer.param_groups
+    return {name: np.array(value).tolist() for name, value in options.items() if name != "params"}
 
 
 def test_probabilities_are_those_of_the_draws() -> None:

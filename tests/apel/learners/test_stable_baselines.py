@@ -17,6 +17,7 @@ from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import make_world
 from apel.learners.base import HasActionValues, Learner, Transition
 from apel.learners.stable_baselines.adapter import StableBaselines
+from apel.learners.starting import begin
 from apel.run.criterion import Criterion
 from apel.selectors import Apel
 from cluster.checkpoint import pack, unpack
@@ -255,6 +256,20 @@ def test_checkpoint_with_half_the_memory() -> None:
     other.restore(unpack(pack(one.state())))
     np.testing.assert_array_equal(other.algorithm.replay_buffer.observations, one.algorithm.replay_buffer.observations)
     assert one.algorithm.replay_buffer.observations[41].any()
+
+
+def test_one_that_begins_with_another_keeps_the_options_of_its_optimiser() -> None:
+    """What the other's remembers of gradients is taken over, but not what its constructor was told."""
+    told = {"net_arch": [8], "optimizer_kwargs": {"eps": 0.1}}
+    old, new = cart_pole(), cart_pole(seed=1, policy_kwargs=told, learning_rate=0.5)
+    list(episodes(old, gymnasium.make("CartPole-v1"), 60, 1))
+    begin(new, unpack(pack(old.state())))
+    (group,) = new.algorithm.policy.optimizer.param_groups
+    assert (group["eps"], group["lr"]) == (0.1, 0.5)
+    assert_same_parameters(parameters(new), parameters(old))
+    moments, expected = (one.algorithm.policy.optimizer.state_dict()["state"] for one in (new, old))
+    assert len(expected) > 0
+    assert all(torch.equal(moments[key]["exp_avg"], expected[key]["exp_avg"]) for key in expected)
 
 
 def test_probabilities() -> None:
