@@ -13,8 +13,23 @@ _NOT_SWEPT = {"name", "runs", "seed", "sweep", "arms", "hindsight", "plots"}
 _MAX_LABEL = 1_000
 
 
-def check_axis(axis: str, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse an axis that cannot be swept; ``columns`` are the values of each of its paths.
+def axis_columns(axis: str, values: Any) -> Mapping[str, Sequence[Any]]:
+    """The values of each path of an axis, and its labels, where it has some.
+
+    >>> axis_columns("seed", [1, 2])
+    {'seed': [1, 2]}
+    """
+    return values if isinstance(values, dict) else {axis: values}
+
+
+def axis_paths(axis: str, values: Any) -> list[str]:
+    """The paths of the fields that an axis sets."""
+    return [path for path in axis_columns(axis, values) if path != LABEL]
+
+
+def check_axis(axis: str, columns: Mapping[str, Sequence[Any]], labels: Sequence[Any]) -> None:
+    """Refuse an axis that cannot be swept; ``columns`` are the values of each of its paths, ``labels`` what stands for
+    its places.
 
     Raises
     ------
@@ -32,7 +47,7 @@ def check_axis(axis: str, columns: Mapping[str, Sequence[Any]]) -> None:
             message = f"found the path {shown(path)}, expected the names of fields with dots between them"
             raise ValueError(message)
     lengths = [len(column) for column in columns.values()]
-    labels = list(map(str, columns.get(LABEL) or next(iter(columns.values()))))
+    labels = list(map(str, labels))
     if len(set(lengths)) != 1 or not lengths[0]:
         message = f"{axis}: found {lengths} values, expected equally many, and at least one"
         raise ValueError(message)
@@ -54,5 +69,5 @@ def may_touch(axis: str, values: Any, arm: str) -> bool:
     >>> may_touch("nu", {"arms.A.selector.decay": [0.1, 0.2]}, "B"), may_touch("episodes", [10, 20], "B")
     (False, True)
     """
-    paths = [path for path in values if path != LABEL] if isinstance(values, dict) else [axis]
+    paths = axis_paths(axis, values)
     return any(path.split(".")[0] != "arms" or path.split(".")[1:2] in ([], [arm]) for path in paths)

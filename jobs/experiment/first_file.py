@@ -23,10 +23,12 @@ from apel.run.user_code import faults_of, in_a_line
 from jobs.experiment.plan import Plan
 from jobs.experiment.spec import validate
 from jobs.experiment.validation import check
+from jobs.experiment.yaml_schema import visible
 from jobs.experiment.yaml_source import Source, SpecError, parse
 
 _MAX_STEPS = 500
 """Of an episode, where nothing else limits it."""
+_MAX_TEXT = 80  # characters of a space
 _MAX_BINNED, _BINS, _FINITE = 3, 10, 1e3
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,79}")
 _PLAIN_WORD = re.compile(r"[A-Za-z_][\w./-]*")
@@ -281,7 +283,9 @@ def _criterion(config: EnvironmentConfig) -> Iterator[str]:
 
 
 def _short(space: spaces.Space[Any]) -> str:
-    return f"Box{space.shape}" if isinstance(space, spaces.Box) else str(space)
+    """The space in a comment: one line, whatever NumPy's arrays or a space of the user's look like."""
+    text = f"Box{space.shape}" if isinstance(space, spaces.Box) else visible(" ".join(str(space).split()))
+    return text if len(text) <= _MAX_TEXT else f"{text[: _MAX_TEXT - 1]}…"
 
 
 def _flow(value: Any) -> str:

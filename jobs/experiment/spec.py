@@ -14,12 +14,13 @@ from apel.experience.representations import Representation
 from apel.numerics.near_names import did_you_mean
 from apel.run.criterion import Criterion
 from cluster.shard import ModelRule, RecordingRule
-from jobs.experiment.axes import check_axis
+from jobs.experiment.axes import axis_columns, check_axis
 from jobs.experiment.figures import Picture, Plot, check_plots
 from jobs.experiment.limits import MAX_LEARNERS, Episodes, Runs, Seed, Steps, check_sizes, num_values
 from jobs.experiment.names import Name, Text, check_arms, check_columns
 from jobs.experiment.spec_errors import describe, expectation
 from jobs.experiment.spec_parts import STRICT, ArmSpec, EnvironmentSpec, LearnerSpec
+from jobs.experiment.swept_values import axis_labels, swept_orders
 from jobs.experiment.yaml_schema import Plain, to_yaml
 from jobs.experiment.yaml_source import Source, SpecError
 
@@ -140,8 +141,8 @@ class Experiment(BaseModel):
     @classmethod
     def _sweepable(cls, sweep: dict[str, Any]) -> dict[str, Any]:
         for axis, values in sweep.items():
-            columns = {axis: values} if isinstance(values, list) else values
-            check_axis(axis, columns)
+            columns = axis_columns(axis, values)
+            check_axis(axis, columns, axis_labels(columns))
             for path in columns:
                 if path.endswith(".start_from"):
                     message = f"found {path!r}, expected an arm for each agent to begin with"
@@ -208,6 +209,8 @@ class Experiment(BaseModel):
             content["starts"] = starts
         if orders := self._meaningful_orders():
             content["order"] = orders
+        if orders := swept_orders(self.sweep):
+            content["swept_order"] = orders
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
     def _starts(self) -> dict[str, str]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Literal, get_args
 
 from apel.numerics.near_names import did_you_mean
+from jobs.experiment.overrides import refuse_swept_overrides
 from jobs.experiment.paths import set_path
 from jobs.experiment.spec import Experiment, Gallery, validate
 from jobs.experiment.starts import with_agents
@@ -57,8 +59,10 @@ def load_experiment(reference: str, overrides: Sequence[str] = ()) -> Experiment
         If there is none, or it is not valid; one line per error.
     """
     source = parse(*_text_of(reference))
+    in_file = copy.deepcopy(source.content)
     for override in overrides:
         _override(source, override)
+    refuse_swept_overrides(source, in_file)
     return with_agents(with_sources(validate(source)))
 
 

@@ -7,10 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jobs.experiment.axes import LABEL, may_touch
+from jobs.experiment.axes import LABEL, axis_columns, may_touch
 from jobs.experiment.paths import changed
 from jobs.experiment.spec import Experiment, validate
 from jobs.experiment.spec_parts import ArmSpec
+from jobs.experiment.swept_values import axis_labels
 from jobs.experiment.yaml_source import Source, SpecError
 
 
@@ -80,8 +81,9 @@ def arm_points(experiment: Experiment) -> tuple[ArmPoint, ...]:
 def _axes(experiment: Experiment) -> list[_Axis]:
     axes = []
     for name, values in experiment.sweep.items():
-        columns = {name: values} if isinstance(values, list) else dict(values)
-        labels = columns.pop(LABEL, None) or next(iter(columns.values()))
+        columns = dict(axis_columns(name, values))
+        labels = axis_labels(columns)
+        columns.pop(LABEL, None)
         rows = zip(*columns.values(), strict=True)
         axes.append(_Axis(name, tuple(dict(zip(columns, row, strict=True)) for row in rows), tuple(labels)))
     return axes

@@ -1,9 +1,10 @@
 """Digests of classes and functions that stand in no module with a file: a script's own, and a notebook's.
 
 What counts is what is run: the compiled code, with whatever it names (functions, classes, constants of the script,
-what it closes over, defaults), as all of these are at that moment. Comments, docstrings of functions, positions and the
-rest of the script do not count, so that it may plot something else, or ask for more runs, and still go on with its
-results.
+what it closes over, defaults, what is registered with Gymnasium under an id), as all of these are at that moment; and
+the files of the user's modules that it imports, before or when it is run. Comments, docstrings of functions, positions
+and the rest of the script do not count, so that it may plot something else, or ask for more runs, and still go on with
+its results.
 Compiled code differs between minor versions of Python; under another one a script's experiment is another one.
 """
 
@@ -13,17 +14,18 @@ import dis
 import functools
 import hashlib
 import inspect
+import io
 import json
 import sys
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import cloudpickle
 import numpy as np
 
-from jobs.experiment.user_modules import OURS, is_installed_in
+from jobs.script.local_modules import imported_modules, is_installed, is_local
+from jobs.script.registrations import Registration, own_registration
 
 _DIGITS = 16
 _MADE_BY_PYTHON = (
@@ -45,14 +47,17 @@ class CodeReader:
     Attributes
     ----------
     modules:
-        Names of the user's modules with files that the parts come from, or that they name: their files are digested
-        whole (`jobs.experiment.user_modules`).
+        Names of the user's modules with files that the parts come from, that they name, or that they import when they
+        are run: their files are digested whole (`jobs.experiment.user_modules`). Of ``from a import b`` there may be
+        ``a.b``, too, whether or not it is a module.
     """
 
     def __init__(self) -> None:
         self.modules: set[str] = set()
         self._seen: dict[int, int] = {}
         self._kept: list[Any] = []
+        self._open: dict[int, int] = {}
+        self._outer: dict[int, int] = {}
 
     def digest(self, part: Any) -> str:
         """16 hexadecimal digits for a class or function."""
@@ -64,12 +69,30 @@ class CodeReader:
         """What a value is, in lists and texts."""
         if isinstance(value, _PLAIN):
             return [type(value).__name__, repr(value)]
+        if id(value) in self._outer:
+            return ["within", self._outer[id(value)]]
         if not isinstance(value, tuple | frozenset):  # of constants, those that are equal may be one or not
             if id(value) in self._seen:
                 return ["again", self._seen[id(value)]]
             self._seen[id(value)] = len(self._seen)
             self._kept.append(value)  # or its identity could become another value's
-        return [type(value).__name__, *self._parts(value)]
+            self._open[id(value)] = len(self._outer) + len(self._open)
+        try:
+            return [type(value).__name__, *self._parts(value)]
+        finally:
+            self._open.pop(id(value), None)
+
+    def _in_any_order(self, values: Collection[Any]) -> list[str]:
+        """What the values of a set are, sorted, each of them told as if it were the only one: where it stands in the
+        set follows from hashes, or from where it lies in memory.
+        """
+        return sorted(json.dumps(self._apart()._told(one)) for one in values)
+
+    def _apart(self) -> CodeReader:
+        """A reader that has seen nothing but what this one is amid of, which would have no end otherwise."""
+        reader = CodeReader()
+        reader.modules, reader._outer = self.modules, {**self._outer, **self._open}
+        return reader
 
     def _parts(self, value: Any) -> Iterator[Any]:
         match value:
@@ -78,7 +101,7 @@ class CodeReader:
             case dict():
                 yield from ([self._told(key), self._told(inner)] for key, inner in value.items())
             case set() | frozenset():
-                yield from sorted(json.dumps(CodeReader()._told(one)) for one in value)
+                yield from self._in_any_order(value)
             case np.ndarray():
                 told = value.tolist() if value.dtype == object else hashlib.sha256(value.tobytes()).hexdigest()
                 yield from (str(value.dtype), list(value.shape), self._told(told))
@@ -101,6 +124,8 @@ class CodeReader:
         self._note(value.__module__)
         if isinstance(value, BuiltinFunctionType) or is_importable(value):
             yield value.__module__
+            if _is_bound(value):
+                yield self._told(value.__self__)
         elif isinstance(value, FunctionType):
             yield from self._function(value)
         else:
@@ -110,6 +135,10 @@ class CodeReader:
         yield self._code(function.__code__, function.__doc__)
         yield from map(self._told, (function.__defaults__, function.__kwdefaults__, vars(function)))
         yield [_content(cell) and self._told(cell.cell_contents) for cell in function.__closure__ or ()]
+        self._note_imports(imported_modules(function.__code__, function.__globals__.get("__package__") or ""))
+        for text in sorted(set(_texts(function.__code__))):
+            if (registration := own_registration(text)) is not None:
+                yield [text, self._told(registration)]
         names = sorted(set(_global_names(function.__code__)))
         for name in names:
             if name in function.__globals__:
@@ -142,21 +171,31 @@ class CodeReader:
         wrapped = getattr(value, "__wrapped__", None) or getattr(value, "py_func", None)  # functools' and numba's
         if wrapped is not None:
             yield self._told(wrapped)
+        elif isinstance(value, Registration):
+            self._note_imports(value.modules)
+            yield self._told(vars(value))
         elif not is_importable(type(value)) and hasattr(value, "__dict__"):
             yield self._told(vars(value))
         else:
-            yield hashlib.sha256(cloudpickle.dumps(value)).hexdigest()
+            yield hashlib.sha256(self._pickled(value)).hexdigest()
+
+    def _pickled(self, value: Any) -> bytes:
+        with io.BytesIO() as file:
+            pickler = cloudpickle.Pickler(file)
+            pickler.persistent_id = self._persistent  # asked for each value what to write in its stead
+            pickler.dump(value)
+            return file.getvalue()
+
+    def _persistent(self, value: Any) -> str | None:
+        is_set = isinstance(value, set | frozenset)
+        return json.dumps([type(value).__qualname__, *self._in_any_order(value)]) if is_set else None
 
     def _note(self, module: str | None) -> None:
         if module in sys.modules and module != "__main__" and not is_installed(module):
             self.modules.add(module)
 
-
-def folder_of(module: str) -> Path:
-    """The folder in which the top-level module or package of an imported module lies."""
-    file = Path(str(sys.modules[module].__file__)).resolve()
-    depth = module.count(".") + (file.name == "__init__.py")
-    return file.parents[depth]
+    def _note_imports(self, modules: Iterable[str]) -> None:
+        self.modules |= {module for module in modules if is_local(module)}
 
 
 def is_importable(part: Any) -> bool:
@@ -168,10 +207,11 @@ def is_importable(part: Any) -> bool:
     return found is part
 
 
-def is_installed(module: str) -> bool:
-    """Whether a module that has been imported is Python's, ours, or an installed package's."""
-    file = getattr(sys.modules.get(module), "__file__", None)
-    return module.split(".")[0] in OURS or file is None or is_installed_in(Path(file).resolve())
+def _is_bound(value: Any) -> bool:
+    """Whether it is a method of a value's, made by Python or in C; functions there are methods of their modules."""
+    bound = value.__self__ if isinstance(value, BuiltinFunctionType) else None
+    is_type = isinstance(bound, type) and is_importable(bound) and is_installed(bound.__module__)
+    return bound is not None and not is_type and not isinstance(bound, ModuleType)
 
 
 def _content(cell: Any) -> bool:
@@ -188,6 +228,14 @@ def _global_names(code: CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _global_names(constant)
+
+
+def _texts(code: CodeType) -> Iterator[str]:
+    for constant in code.co_consts:
+        if isinstance(constant, str):
+            yield constant
+        elif isinstance(constant, CodeType):
+            yield from _texts(constant)
 
 
 def _attribute_names(code: CodeType) -> Iterator[str]:

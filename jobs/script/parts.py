@@ -18,7 +18,9 @@ from jobs.experiment.spec import Experiment, validate
 from jobs.experiment.starts import with_agents
 from jobs.experiment.user_modules import named_paths, python_folders, source_digests
 from jobs.experiment.yaml_source import Source, SpecError
-from jobs.script.code_digests import digests_of, folder_of, is_importable, is_installed
+from jobs.script.code_digests import digests_of, is_importable
+from jobs.script.local_modules import folder_of, is_installed
+from jobs.script.registrations import own_registration
 
 Described = str | Callable[..., Any] | Mapping[str, Any]
 """A part by name, import path, class or function; or a mapping with that and its options, as in an experiment file."""
@@ -85,7 +87,7 @@ def described_experiment(
     *,
     alone: bool,
 ) -> tuple[Experiment, set[str]]:
-    """The experiment, and the user's modules with files that it rests on.
+    """The experiment, and the user's modules with files that it rests on; not all of them have been imported.
 
     Raises
     ------
@@ -115,7 +117,10 @@ def described_experiment(
 
 
 def _with_digests(experiment: Experiment, parts: Mapping[str, Named]) -> tuple[Experiment, set[str]]:
-    found, modules = digests_of(parts)
+    environment = experiment.environment.id
+    registration = None if environment in parts else own_registration(environment)
+    registered = {} if registration is None else {f"gymnasium.registry:{environment}": registration}
+    found, modules = digests_of({**parts, **registered})
     named = {path for path in named_paths(experiment) if not any(name.startswith(f"{path}:") for name in parts)}
     folders = [*sorted({folder_of(module) for module in modules}), *python_folders()]
     found |= source_digests(sorted(modules | named), folders)

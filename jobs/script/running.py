@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from typing import Any
@@ -112,4 +113,4 @@ def run(
 def _shipped(modules: set[str]) -> Any:
     from cluster.by_value import shipped_by_value
 
-    return shipped_by_value(modules)
+    return shipped_by_value(modules & set(sys.modules))  # of the others, nothing can have been made yet

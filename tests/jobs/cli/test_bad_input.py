@@ -361,3 +361,36 @@ def test_did_you_mean_of_commands(words: list[str], expected: str, capsys: pytes
     code, error = call(capsys, *words)
     assert code == 2
     assert expected in error
+
+
+SWEPT = "sweep={learners.Q_full.learning_rate: [0.1, 0.2], cap: {episodes: [7, 9], criterion.below.plus: [0.5, 1]}}"
+LOST = {
+    "the field of an axis": ("learners.Q_full.learning_rate=0.5", "learners.Q_full.learning_rate", "learners.Q_full."),
+    "a path of an axis": ("episodes=5", "episodes", "cap"),
+    "within it": ("episodes.most=5", "episodes", "cap"),
+    "around it": ("criterion.below={factor: 1, info: optimal_length, plus: 3}", "criterion.below.plus", "cap"),
+}
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_override_of_what_is_swept(what: str, small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every sweep point would set it again: it would change the identity, and no run."""
+    override, path, axis = LOST[what]
+    start = ["episodes={}"] if what == "within it" else []
+    words = [word for one in (*start, SWEPT, override) for word in ("--set", one)]
+    code, error = call(capsys, "validate", str(small), *words)
+    assert code == 2
+    last = error.splitlines()[-1].removeprefix("error: ")
+    assert last.startswith(f"--set {override}: found a value of {path}, which the axis '{axis}")
+    assert last.endswith("or the sweep itself to be overridden (--set 'sweep={…}')")
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["criterion.below.plus=1", "criterion.below={factor: 1, info: optimal_length}", "learners.Q_red.learning_rate=0.5"],
+)
+def test_override_beside_what_is_swept(override: str, small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever no point sets may be overridden, and so may the sweep."""
+    swept = "sweep={learners.Q_full.learning_rate: [0.1, 0.2]}"
+    printed(capsys, "validate", str(small), "--set", swept, "--set", override)
+    printed(capsys, "validate", str(small), "--set", SWEPT, "--set", "sweep={episodes: [3, 4]}")

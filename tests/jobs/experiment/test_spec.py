@@ -237,6 +237,15 @@ ORDERS = {
         "sweep={cap: {episodes: [5, 6], learners.Q_full.discount: [1, 0.5]}}",
         "sweep={cap: {learners.Q_full.discount: [1, 0.5], episodes: [5, 6]}}",
     ),
+    "swept counts of learners": (
+        "sweep={mix: {label: [few, many], arms.APEL.learners: [{Q_full: 1, Q_red: 1}, {Q_full: 2, Q_red: 4}]}}",
+        "sweep={mix: {label: [few, many], arms.APEL.learners: [{Q_full: 1, Q_red: 1}, {Q_red: 4, Q_full: 2}]}}",
+    ),
+    "learners of a swept arm": (
+        "sweep={arms.SSBAS: [{learners: {Q_full: 1, Q_red: 2}, selector: {type: uniform}}]}",
+        "sweep={arms.SSBAS: [{learners: {Q_red: 2, Q_full: 1}, selector: {type: uniform}}]}",
+    ),
+    "swept variables": ("sweep={variables: [{a: [1], b: [2]}]}", "sweep={variables: [{b: [2], a: [1]}]}"),
 }
 
 
@@ -247,6 +256,50 @@ def test_order_that_means_something_is_part_of_the_identity(name: str, small: Pa
     one, other = (load_experiment(str(small), [learners, override]) for override in ORDERS[name])
     assert one.identity != other.identity
     assert validate(parse(one.to_yaml(), "again.yaml")).identity == one.identity
+
+
+SWEPT = {
+    "learners.Q_full.exploration": (
+        ["{start: 1.0, end: 0.1, steps: 100}", "{steps: 100, end: 0.1, start: 1.0}"],
+        "{'start': 1.0, 'end': 0.1, 'steps': 100}",
+    ),
+    "arms.APEL.selector": (["{type: apel, decay: 0.2}", "{decay: 0.2, type: apel}"], "{'type': 'apel', 'decay': 0.2}"),
+    "environment.options": (
+        ["{optimal_length: [3, 4], distractors: [2]}", "{distractors: [2], optimal_length: [3, 4]}"],
+        "{'distractors': [2], 'optimal_length': [3, 4]}",
+    ),
+}
+
+
+@pytest.mark.parametrize("path", SWEPT)
+def test_labels_depend_on_no_order_on_which_the_identity_does_not(path: str, small: Path) -> None:
+    """Rows of the one file are those of the other: a swept mapping is called the same in whatever order it stands."""
+    values, label = SWEPT[path]
+    both = [load_experiment(str(small), [f"sweep={{{path}: [{value}]}}"]) for value in values]
+    assert both[0].identity == both[1].identity
+    for experiment in both:
+        assert {one.point.label for one in Plan.of(experiment).arm_points} == {f"{path}={label}"}
+
+
+def test_labels_of_counted_learners_keep_their_order(small: Path) -> None:
+    """Where the order means something, values that differ in nothing else are two."""
+    experiment = load_experiment(
+        str(small), ["sweep={arms.APEL.learners: [{Q_full: 1, Q_red: 2}, {Q_red: 2, Q_full: 1}]}"]
+    )
+    points = [one for one in Plan.of(experiment).arm_points if one.arm == "APEL"]
+    assert [one.spec.learner_names[0] for one in points] == ["Q_full", "Q_red"]
+    assert [one.point.label for one in points] == [
+        "arms.APEL.learners={'Q_full': 1, 'Q_red': 2}",
+        "arms.APEL.learners={'Q_red': 2, 'Q_full': 1}",
+    ]
+
+
+SORTED = "sweep={arms.SSBAS: [{learners: {Q_full: 1, Q_red: 2}, selector: {type: uniform}}]}"
+
+
+def test_identity_of_swept_names_in_their_sorted_order_is_as_it_was(small: Path) -> None:
+    """As at commit 4044456, when the order of names in swept values did not count."""
+    assert load_experiment(str(small), [SORTED]).identity == "97eadc784bff"
 
 
 def test_order_of_options_is_no_part_of_the_identity() -> None:

@@ -21,9 +21,8 @@ def test_named_modules(small: Path) -> None:
         "environment={id: 'worlds.deep:Corridor'}",
         "learners.Q_red={type: 'walkers:Walker'}",
         "arms.APEL.selector={type: 'pickers:Mine'}",
-        "performance=measures:speed",
         "variables={}",
-        "sweep={how: {performance: ['other_measures:a', 'return']}}",
+        "sweep={how: {performance: ['other_measures:a', 'measures:speed']}}",
     ]
     assert named_modules(load_experiment(str(small), overrides)) == [
         "measures", "other_measures", "pickers", "walkers", "worlds",
