@@ -28,6 +28,7 @@ from jobs.results.failures import FailureFiles
 from jobs.results.lease import BusyError, Lease, lease, this_owner
 from jobs.results.manifest import add_session, new_manifest
 from jobs.results.provenance import of_other_sources, of_other_versions
+from jobs.results.sinks import begun_runs
 from jobs.results.storage_faults import StorageAwayError, StorageError
 from jobs.results.store import CheckpointFiles, ParquetSink, ResultStore, StoreError
 from jobs.rounds import AllAtOnce, Rounds, UntilDecided, refuse_undecidable
@@ -261,7 +262,12 @@ def _compute(
             store.write_manifest(add_session(manifest, plan, *session, notes))
 
         def play_round(due: Plan, finished: Collection[RunKey]) -> None:
-            shards = due.shards(num_cpus=num_cpus, shard_size=settings.shard_size, finished=finished)
+            shards = due.shards(
+                num_cpus=num_cpus,
+                shard_size=settings.shard_size,
+                finished=finished,
+                begun=lambda arm, sweep: begun_runs(store.folder, arm, sweep),
+            )
             progress.planned(shards, before)
             observer.planned(progress)
             _take_in(play(shards), outcome, FailureFiles(store.folder), clock, progress, observer)

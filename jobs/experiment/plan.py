@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from apel.numerics.near_names import did_you_mean
@@ -16,6 +16,8 @@ from jobs.experiment.yaml_source import SpecError
 
 RunKey = tuple[str, str, int]
 """Arm, sweep label, run index."""
+Runs = tuple[int, int]
+"""The first and the last of a number of runs."""
 _MAX_SHARD_SIZE = 100
 
 
@@ -100,11 +102,19 @@ class Plan:
             for index in range(len(self.seeds)):
                 yield one.arm, one.point.label, index
 
-    def shards(self, *, num_cpus: int, shard_size: int | None = None, finished: Collection[RunKey] = ()) -> list[Shard]:
+    def shards(
+        self,
+        *,
+        num_cpus: int,
+        shard_size: int | None = None,
+        finished: Collection[RunKey] = (),
+        begun: Callable[[str, str], Iterable[Runs]] = lambda _arm, _sweep: (),
+    ) -> list[Shard]:
         """The shards of all runs that are not ``finished``: those of the arms with most learners first.
 
-        Runs are cut at multiples of the shard size, so that an interrupted job finds its checkpoints again. Without a
-        shard size see `default_shard_size`.
+        Runs are cut at multiples of the shard size; without one see `default_shard_size`. Those of an arm at a sweep
+        point that were ``begun`` together, and of which none is finished, stay together whatever the size is now, so
+        that an interrupted job goes on from its checkpoints also with more runs, or on another machine.
         """
         shards, identity = [], self.experiment.identity
         num_ensembles = sum(one.num_learners > 1 for one in self.arm_points)
@@ -112,9 +122,24 @@ class Plan:
             size = shard_size or default_shard_size(len(self.seeds), num_cpus, one.num_learners, num_ensembles)
             missing = [i for i in range(len(self.seeds)) if (one.arm, one.point.label, i) not in finished]
             shared = replace(arm_plan(one), identity=identity)
-            for _, group in itertools.groupby(missing, key=lambda index, size=size: index // size):  # type: ignore[misc]
+            for group in _cut(missing, size, begun(one.arm, one.point.label)):
                 shards.append(Shard(shared, tuple(run_plan(one, index, self.seeds[index]) for index in group)))
         return sorted(shards, key=lambda shard: -len(shard.arm.learner_names))
+
+
+def _cut(missing: Sequence[int], size: int, begun: Iterable[Runs]) -> Iterator[list[int]]:
+    """Groups of runs, in order: those that were begun together, and the others at multiples of a size.
+
+    >>> list(_cut([0, 1, 2, 3, 4, 6, 7], 3, [(1, 2), (4, 6)]))
+    [[0], [1, 2], [3, 4], [6, 7]]
+    """
+    group_of = {index: (index // size, -1) for index in missing}
+    for first, last in sorted(begun):
+        together = range(first, last + 1)
+        if all(group_of.get(index, (0, 0))[1] < 0 for index in together):
+            group_of |= dict.fromkeys(together, (first, first))
+    for _, group in itertools.groupby(missing, key=group_of.__getitem__):
+        yield list(group)
 
 
 def default_shard_size(num_runs: int, num_cpus: int, num_learners: int, num_ensembles: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import socket
 from collections.abc import Sequence
 from typing import Any
@@ -33,6 +34,13 @@ def shard_id(shard: Shard) -> str:
     if len(indices) != indices[-1] - indices[0] + 1:
         parts += f"-{hashlib.sha256(repr(indices).encode()).hexdigest()[:8]}"
     return parts + sweep_mark(shard.arm.sweep)
+
+
+def begun_runs(folder: Folder, arm: str, sweep: str) -> list[tuple[int, int]]:
+    """First and last run of each shard that has left a checkpoint; of those alone that have all runs between."""
+    name = re.compile(rf"(\d{{6}})-(\d{{6}}){sweep_mark(sweep)}\.npz")
+    found = (name.fullmatch(one) for one in folder.names(f"checkpoints/arm={arm}"))
+    return [(int(one[1]), int(one[2])) for one in found if one]
 
 
 def model_name(arm: str, sweep: str, run: int, mark: str) -> str:

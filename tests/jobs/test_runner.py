@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import duckdb
@@ -14,6 +16,7 @@ import pandas as pd
 import polars as pl
 import pytest
 
+from cluster.shard import Execution
 from jobs.experiment.spec_files import load_experiment
 from jobs.experiment.yaml_source import SpecError
 from jobs.results.store import ResultStore
@@ -218,3 +221,21 @@ def test_interrupted(
     monkeypatch.syspath_prepend(tmp_path)
     assert call(capsys, *command, "--placement", "local", "--quiet") == (0, "")
     assert len(pd.read_parquet(folder / "runs.parquet")) == 40
+
+
+def test_goes_on_from_checkpoints_of_another_cut(small: Path, tmp_path: Path) -> None:
+    """An interrupted job that is given more runs, and so other shards, goes on where its shards have come to."""
+    execution = Execution(streak_episodes=1, checkpoint_seconds=0.0, progress_seconds=0.0)
+    few = Settings(results=str(tmp_path / "cut"), placement="local", arms=("APEL",), shard_size=4, execution=execution)
+    calls = itertools.count()
+    stopped = run_experiment(load_experiment(str(small)), few, stopping=lambda: next(calls) > 3)
+    assert stopped.was_stopped
+    (checkpoint,) = (tmp_path / "cut").rglob("*.npz")
+    assert checkpoint.stem == "000000-000003"
+    more, size = load_experiment(str(small), ["runs=9"]), {"shard_size": 100}
+    outcome = run_experiment(more, replace(few, **size))
+    parts = {path.stem for path in (tmp_path / "cut").rglob("parts/*/*.parquet")}
+    assert parts == {"000000-000003", "000004-000008"}
+    assert not list((tmp_path / "cut").rglob("*.npz"))
+    whole = run_experiment(more, replace(few, **size, results=str(tmp_path / "whole")))
+    assert_same(folder_of(whole), folder_of(outcome))

@@ -54,6 +54,28 @@ def test_every_missing_run_is_in_one_shard(runs: int, size: int | None, cpus: in
             assert len({run.index // size for run in shard.runs}) == 1
 
 
+@given(
+    runs=st.integers(1, 20),
+    size=st.integers(1, 9),
+    begun=st.lists(st.tuples(st.integers(0, 20), st.integers(0, 6)).map(lambda pair: (pair[0], sum(pair))), max_size=4),
+    data=st.data(),
+)
+def test_what_was_begun_together_stays_together(
+    runs: int, size: int, begun: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    """Whatever checkpoints lie there, each run is in one shard, and the first of any overlapping ones is a shard."""
+    plan = Plan.of(experiment(("runs: 6", f"runs: {runs}"))).only(["APEL"])
+    finished = data.draw(st.sets(st.sampled_from(list(plan.run_keys()))))
+    shards = plan.shards(num_cpus=1, shard_size=size, finished=finished, begun=lambda _arm, _sweep: begun)
+    planned = [run.index for shard in shards for run in shard.runs]
+    missing = {index for *_, index in set(plan.run_keys()) - finished}
+    assert sorted(planned) == sorted(missing)
+    whole = [(first, last) for first, last in sorted(begun) if set(range(first, last + 1)) <= missing]
+    if whole:
+        first, last = whole[0]
+        assert list(range(first, last + 1)) in [[run.index for run in shard.runs] for shard in shards]
+
+
 @given(runs=st.integers(1, 2000), cpus=st.integers(1, 256), learners=st.integers(1, 5), ensembles=st.integers(1, 30))
 def test_default_shard_size_is_sensible(runs: int, cpus: int, learners: int, ensembles: int) -> None:
     """A shard has from 1 to 100 runs, and a learner alone gives every CPU something to do."""
