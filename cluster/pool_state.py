@@ -201,9 +201,13 @@ class PoolState:
 
     def _handle_gang_lost(self, event: told.GangLost, now: float) -> Iterator[Instruction]:
         """Let the shard begin again, from its checkpoint, unless its processes die again and again."""
-        shard = self._player(event, event.gang).shard
+        playing = self._player(event, event.gang)
+        shard = playing.shard
         del self._playing[event.gang]
         yield told.Dismiss(event.gang)
+        if playing.has_ended:  # its results are stored; what is lost is a process that had nothing left to do
+            self._over.add(shard.key)
+            return
         delay = self._faults.failed(shard.key)
         num_faults = self._faults.in_a_row(shard.key)
         if delay is None or self.is_stopping:

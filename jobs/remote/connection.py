@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from urllib.parse import urlencode
 
 import requests
 from ray.exceptions import AuthenticationError
@@ -62,7 +63,7 @@ def _knock(address: str) -> None:
 
 def read_log_file(client: JobSubmissionClient, node: str, name: str, timeout_seconds: int = 30) -> Iterator[bytes]:
     """The bytes of a file among a node's logs, piece by piece; none if it is not there."""
-    query = f"node_id={node}&filename={name}&lines=-1&timeout={timeout_seconds}"
+    query = urlencode({"node_id": node, "filename": name, "lines": -1, "timeout": timeout_seconds})
     # Ray's own `get_log` wants the address of the GCS, which is not to be reached from outside; this asks the same of
     # the dashboard, with the client's token and certificates.
     response = client._do_request("GET", f"/api/v0/logs/file?{query}", stream=True)

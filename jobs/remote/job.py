@@ -136,7 +136,7 @@ def submit(
     SpecError
         If a field, a module, or the place for the results cannot be right.
     BusyError
-        If the same experiment is running there with other options.
+        If the same experiment is running there with other options, fewer runs, or other models to keep.
     ClusterError
         If the cluster cannot be reached.
     """
@@ -147,7 +147,9 @@ def submit(
     if missing:
         message = f"--module: found no module {sorted(missing)[0]!r} in {Path(folder).resolve()}"
         raise SpecError(message)
-    record = Record("", address, experiment.name, experiment.identity, tuple(words))
+    models = experiment.models if isinstance(experiment.models, str) else f"every {experiment.models.every_steps} steps"
+    of = experiment.name, experiment.identity
+    record = Record("", address, *of, tuple(words), runs=experiment.runs, models=models)
     return _submitted(record, lambda package: write_package(experiment, found, package))
 
 

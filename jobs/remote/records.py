@@ -34,6 +34,8 @@ class Record:
         What it runs.
     options:
         The words after ``apel run experiment.yaml``.
+    runs, models:
+        How many runs it plays, and which models it keeps; None of what older versions submitted.
     """
 
     job: str
@@ -41,6 +43,8 @@ class Record:
     experiment: str
     identity: str
     options: tuple[str, ...]
+    runs: int | None = None
+    models: str | None = None
 
 
 def records_folder() -> Path:

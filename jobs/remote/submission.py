@@ -108,6 +108,7 @@ def _metadata(record: Record) -> dict[str, str]:
         "experiment": record.experiment,
         "identity": record.identity,
         "options": shlex.join(record.options),
+        **({} if record.runs is None else {"runs": str(record.runs), "models": str(record.models)}),
     }
 
 
@@ -120,7 +121,21 @@ def _attached(details: JobDetails, record: Record) -> Submitted:
             f"{shlex.join(options)!r}, expected none, or the same options: stop it, or wait for it"
         )
         raise BusyError(message)
+    _refuse_more(details, record)
     return Submitted(str(details.submission_id), was_running=True)
+
+
+def _refuse_more(details: JobDetails, record: Record) -> None:
+    """See that a job at work does all that is asked for: neither runs nor models are part of the identity."""
+    known = details.metadata or {}
+    runs, models = known.get("runs"), known.get("models")
+    if runs is None or record.runs is None or (record.runs <= int(runs) and record.models == models):
+        return
+    message = (
+        f"found the job {details.submission_id} at work on this experiment with runs: {runs}, models: {models}, "
+        f"expected one with runs: {record.runs}, models: {record.models}: wait for it or stop it, then submit again"
+    )
+    raise BusyError(message)
 
 
 def _options_of(details: JobDetails) -> tuple[str, ...]:

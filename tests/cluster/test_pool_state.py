@@ -203,6 +203,17 @@ def test_shards_due_together_go_first(pool: Pool) -> None:
     assert pool.tell(Tick(), after=1.0) == [Hire(2, ()), Hire(3, ()), Start(2, B), Start(3, A)]
 
 
+def test_lost_after_the_end(pool: Pool) -> None:
+    """A gang that dies once it has said that its shard is done has nothing left to do: nothing is played again."""
+    pool.begin(A, B)
+    assert pool.tell(GangReported(0, DONE)) == [Report(A, DONE)]
+    assert pool.tell(GangLost(0, "its environment would not close")) == [Dismiss(0)]
+    assert pool.tell(Tick(), after=9.0) == [Hire(1, ()), Start(1, B)]
+    assert pool.state.num_restarts == 0
+    pool.tell(GangReported(1, DONE), GangFreed(1))
+    assert pool.state.is_over
+
+
 def test_back_off_doubles_and_gives_up(pool: Pool) -> None:
     """At the same place every back-off is twice the one before, until the shard is given up with the last reason."""
     pool.begin(A)

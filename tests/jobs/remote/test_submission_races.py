@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -122,6 +123,31 @@ def test_other_options(cluster: Cluster, small: Path, moment: str) -> None:
     (first,) = firsts
     assert remembered() == {first.id}
     assert read_record(first.id).options == ("--shard-size", "2")
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (["runs=60"], "with runs: 6, models: none, expected one with runs: 60, models: none: wait for it or stop it"),
+        (["models=final"], "with runs: 6, models: none, expected one with runs: 6, models: final"),
+        (["models={every_steps: 50}"], "expected one with runs: 6, models: every 50 steps"),
+    ],
+)
+def test_more_than_the_job_at_work_does(cluster: Cluster, small: Path, asked: list[str], message: str) -> None:
+    """Neither runs nor models change the identity; whoever asks for more than is being done is told so."""
+    first = submit(load_experiment(str(small)))
+    with pytest.raises(BusyError, match=re.escape(message)):
+        submit(load_experiment(str(small), asked))
+    assert submit(load_experiment(str(small), ["runs=4"])).was_running
+    assert list(cluster.jobs) == [first.id]
+
+
+def test_of_a_job_of_an_older_version_nothing_is_known(cluster: Cluster, small: Path) -> None:
+    """It is joined as ever."""
+    first = submit(load_experiment(str(small)))
+    for name in ("runs", "models"):
+        (cluster.jobs[first.id].metadata or {}).pop(name)
+    assert submit(load_experiment(str(small), ["runs=60"])).was_running
 
 
 @MOMENTS
