@@ -11,6 +11,9 @@ import pytest
 
 from cluster.shard import Execution
 from jobs.analysis.answer.comparison import compare
+from jobs.analysis.answer.contests import contests
+from jobs.analysis.answer.measures import measures, run_rows
+from jobs.analysis.answer.played import PlayedRuns
 from jobs.experiment.plan import Plan, RunKey
 from jobs.experiment.spec_files import load_experiment
 from jobs.experiment.yaml_source import SpecError
@@ -103,6 +106,27 @@ def test_undecided(plan: Plan) -> None:
     played.play(rounds)
     assert played.rounds[-1][0] == MOST
     assert rounds.told(played.finished).startswith("no more runs: with 30 runs it is not decided")
+
+
+@pytest.mark.parametrize("steps", [100_000, 3_000])
+def test_a_missed_criterion_is_no_quick_one(small: Path, steps: int) -> None:
+    """Where steps end runs too, an arm that never meets the criterion has fewer episodes than one that does, or, where
+    its episodes are short, fewer steps: it counts with the cap of steps.
+    """
+    plan = Plan.of(load_experiment(str(small), ["runs=20", "episodes=5000", "steps=100000"])).only(["Q_full", "APEL"])
+    played = {"Q_full": (1000, False, 40_000), "APEL": (560, True, steps)}
+    columns = [
+        {"arm": arm, "sweep": "", "run_index": run, "train_time": time + run, "censored": missed, "steps": took}
+        for run in range(20)
+        for arm, (time, missed, took) in played.items()
+    ]
+    table = pa.Table.from_pylist(columns)
+    rounds = UntilDecided(plan, 0.05, lambda: table)
+    assert "Q_full is the best" in rounds.told({(row["arm"], "", row["run_index"]) for row in columns})
+    kinds = measures(plan.experiment, run_rows(table, contests(plan.experiment)[0].candidates[:2]), [PlayedRuns()] * 2)
+    assert [one.kind for one in kinds.known] == ["steps", "episodes"]
+    assert kinds.known[0].values.max() == 100_000
+    assert kinds.known[1].values.max() == 5000
 
 
 def test_all_at_once(plan: Plan) -> None:

@@ -82,28 +82,43 @@ def measures(experiment: Experiment, rows: Sequence[pd.DataFrame], played: Seque
         take("area", [one.area for one in played], nobody, missing)
     if experiment.criterion is not None:
         unknown = "when the criterion was met is not known of every run"
-        take("episodes", [_column(part, "train_time") for part in rows], at_cap, unknown)
+        episodes = [_to_criterion(part, "train_time", experiment.episodes) for part in rows]
         if experiment.stop_when_met:
-            take("steps", [_column(part, "steps") for part in rows], at_cap, unknown)
+            steps, why_not = [_to_criterion(part, "steps", experiment.steps) for part in rows], unknown
         else:
-            missing = "the steps to the criterion are not known: that takes record: all"
-            take("steps", [one.steps_to_criterion for one in played], at_cap, missing)
+            steps = [one.steps_to_criterion for one in played]
+            why_not = "the steps to the criterion are not known: that takes record: all"
+        costs: list[tuple[Kind, Sequence[Mapping[int, float]], str]]
+        costs = [("episodes", episodes, unknown), ("steps", steps, why_not)]
+        for kind, columns, reason in costs if experiment.steps is None else reversed(costs):
+            take(kind, columns, at_cap, reason)
     return Measures(tuple(found), (*notes, *_sampled(found, played)))
 
 
 def deciding(experiment: Experiment, rows: Sequence[pd.DataFrame]) -> Measure | None:
     """The measure that decides, from the run rows alone; None where it is not known of every run.
 
-    That is the final return; where runs end when they meet the criterion, the episodes until then.
+    That is the final return; where runs end when they meet the criterion, the episodes until then, or, where steps end
+    them too, the steps.
     """
     known = measures(experiment, rows, [PlayedRuns() for _ in rows]).known
-    kind = "episodes" if ends_when_met(experiment) else "return"
+    cost: Kind = "episodes" if experiment.steps is None else "steps"
+    kind = cost if ends_when_met(experiment) else "return"
     return next((measure for measure in known if measure.kind == kind), None)
 
 
 def _column(rows: pd.DataFrame, name: str) -> dict[int, float]:
     values = rows[name].dropna() if name in rows else rows.iloc[:0]["steps"]
     return {int(index): float(value) for index, value in values.items()}
+
+
+def _to_criterion(rows: pd.DataFrame, name: str, cap: int | None) -> dict[int, float]:
+    """What a run took; one that did not meet the criterion counts with the cap, whichever of the caps has ended it."""
+    taken = _column(rows, name)
+    if cap is None:
+        return taken
+    missed = rows.index[rows["censored"].astype(float).fillna(0) > 0]
+    return {**taken, **{int(index): max(taken.get(int(index), 0.0), float(cap)) for index in missed}}
 
 
 def _side_by_side(rows: Sequence[pd.DataFrame], columns: Sequence[Mapping[int, float]]) -> Floats | None:

@@ -62,6 +62,17 @@ def test_without_a_criterion_the_steady_state_decides() -> None:
     assert chosen(rows, "A", "B") == [("", 0, "B")]
 
 
+def test_without_either_the_end_of_the_run_decides() -> None:
+    """The return of its last tenth, which is not looked at where something else is known."""
+    rows: list[Row] = [("A", "", 0, None, None, None), ("B", "", 0, None, None, None)]
+    late = pa.array([1.0, 100.0])
+    found = with_hindsight(table_of(rows).append_column("last_tenth_return", late), {"Best": ["A", "B"]})
+    assert found.to_pylist()[-1]["chosen"] == "B"
+    tied: list[Row] = [("A", "", 0, 5, False, None), ("B", "", 0, 5, False, None)]
+    found = with_hindsight(table_of(tied).append_column("last_tenth_return", late), {"Best": ["A", "B"]})
+    assert found.to_pylist()[-1]["chosen"] == "A"
+
+
 def test_incomplete_runs_are_left_out() -> None:
     """A run that one of the arms has not finished has no best arm yet."""
     rows: list[Row] = [("A", "", 0, 5, False, None), ("A", "", 1, 5, False, None), ("B", "", 1, 4, False, None)]
