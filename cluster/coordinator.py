@@ -20,7 +20,7 @@ from cluster.errors import RunFailure
 from cluster.events import ShardDone, ShardProgress, ShardReplayed, ShardStopped
 from cluster.learner_host import make_run_world
 from cluster.models import ModelClock, agents_of, finished
-from cluster.parts import Parts, Told
+from cluster.parts import Parts, Told, in_order
 from cluster.protocols import NO_RUN_ROWS, CheckpointStore, Hosts, ResultSink
 from cluster.shard import Execution, Shard
 from cluster.shard_state import CHECKPOINT_VERSION, ShardState
@@ -91,7 +91,7 @@ class Coordinator:
                 shard = shard.without(sorted(broken))
         if state is None:
             self._sink.commit(shard, NO_RUN_ROWS, [], [])
-            yield ShardDone(_in_order(failures), 0, time.monotonic() - started, 0)
+            yield ShardDone(in_order(failures), 0, time.monotonic() - started, 0)
             return
         if refused:
             yield ShardReplayed(f"its checkpoint does not fit: {refused}")
@@ -112,7 +112,7 @@ class Coordinator:
             failures += _all_described(shard, [failure], learner)
         steps = int(state.book.steps.sum())
         seconds = time.monotonic() - started
-        yield ShardDone(_in_order(failures), steps, seconds, state.output.rounds, state.num_episodes())
+        yield ShardDone(in_order(failures), steps, seconds, state.output.rounds, state.num_episodes())
 
     def _begun(self, shard: Shard, worlds: Sequence[World]) -> tuple[ShardState, str | None]:
         """The shard with its hosts ready, from its checkpoint if there is one that fits; else why it does not.
@@ -258,7 +258,3 @@ def _all_described(
         about = (arm.arm, arm.sweep, plan.index, plan.seed, name)
         described.append(RunFailure(*about, episode, error, part, place, trace))
     return described
-
-
-def _in_order(failures: Sequence[RunFailure]) -> tuple[RunFailure, ...]:
-    return tuple(sorted(failures, key=lambda failure: failure.run_index))

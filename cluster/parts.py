@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from cluster.errors import RunFailure
@@ -15,6 +15,11 @@ _ADDED = (
     "episodes_played",
 )  # fmt: skip
 """What a report counts from the beginning of its part; the rest of it is since the report before."""
+
+
+def in_order(failures: Iterable[RunFailure]) -> tuple[RunFailure, ...]:
+    """By the numbers of their runs."""
+    return tuple(sorted(failures, key=lambda failure: failure.run_index))
 
 
 class Parts:
@@ -52,9 +57,8 @@ class Parts:
 
     def done(self) -> ShardDone:
         """All are over."""
-        failures = (failure for one in self._done for failure in one.failures)
         return ShardDone(
-            tuple(sorted(failures, key=lambda failure: failure.run_index)),
+            in_order(failure for one in self._done for failure in one.failures),
             steps=sum(one.steps for one in self._done),
             seconds=self._done[-1].seconds,
             rounds=sum(one.rounds for one in self._done),

@@ -108,47 +108,44 @@ class Framed(Corridor):
         return (np.arange(self.observation_space.shape[0]) == self._cell).astype(np.float32)
 
 
-class Tiring(Walker):
+class Clocked(Walker):
+    """Knows how many episodes it has seen end."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.episode = 0
+
+    def end_episode(self) -> None:
+        self.episode += 1
+
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "episode": self.episode}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self.episode = state["episode"]
+
+
+class Tiring(Clocked):
     """Fails at the end of the episode with this number, whoever plays it."""
 
     def __init__(self, *arguments: Any, last: int) -> None:
         super().__init__(*arguments)
-        self._last, self._episode = last, 0
+        self._last = last
 
     def end_episode(self) -> None:
-        self._episode += 1
-        if self._episode == self._last + 1:
+        super().end_episode()
+        if self.episode == self._last + 1:
             message = "out of ideas"
             raise RuntimeError(message)
 
-    def state(self) -> dict[str, Any]:
-        return {**super().state(), "episode": self._episode}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        super().restore(state)
-        self._episode = state["episode"]
-
-
-class Reticent(Walker):
+class Reticent(Clocked):
     """Does not say its probabilities in every third episode."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._episode = 0
 
     def act(self, observation: Any) -> tuple[int, Any]:
         action, probability = super().act(observation)
-        return action, probability if self._episode % 3 else None
-
-    def end_episode(self) -> None:
-        self._episode += 1
-
-    def state(self) -> dict[str, Any]:
-        return {**super().state(), "episode": self._episode}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        super().restore(state)
-        self._episode = state["episode"]
+        return action, probability if self.episode % 3 else None
 
 
 class Counting(Walker):

@@ -60,6 +60,13 @@ class FiniteModel:
     info: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def shape(self) -> tuple[tuple[int, ...], tuple[int, ...], int, tuple[int, ...]]:
+        """What the tables of runs that are played side by side have in common: the shapes of cells and starts, the step
+        limit, and how many values each variable takes.
+        """
+        return self.next_cell.shape, self.start_cell.shape, self.max_steps, self.feature_sizes
+
+    @property
     def num_actions(self) -> int:
         """A, the number of actions."""
         return int(self.next_cell.shape[1])
@@ -103,6 +110,11 @@ class FiniteTables(NamedTuple):
     max_steps: int
 
 
+def observations_of(states: NDArray[Any], feature_sizes: tuple[int, ...]) -> NDArray[Any]:
+    """``[…, features]``: the observations of states ``[…]``; the states themselves where there is only one feature."""
+    return states if len(feature_sizes) == 1 else np.stack(np.unravel_index(states, feature_sizes), axis=-1)
+
+
 def stack_models(models: Sequence[FiniteModel]) -> FiniteTables:
     """The tables of one model per run, of equal shapes; identical objects are stored once.
 
@@ -115,12 +127,7 @@ def stack_models(models: Sequence[FiniteModel]) -> FiniteTables:
     position = {id(model): i for i, model in enumerate(unique)}
     first = unique[0]
     for model in unique:
-        if (model.next_cell.shape, model.feature_sizes, model.max_steps, model.start_cell.shape) != (
-            first.next_cell.shape,
-            first.feature_sizes,
-            first.max_steps,
-            first.start_cell.shape,
-        ):
+        if model.shape != first.shape:
             message = (
                 f"found tables of the shapes {model.next_cell.shape} and {first.next_cell.shape}, the features "
                 f"{model.feature_sizes} and {first.feature_sizes}, the limits {model.max_steps} and {first.max_steps}, "

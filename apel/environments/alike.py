@@ -22,10 +22,7 @@ def alike(worlds: Sequence[World]) -> list[list[int]]:
 def _shape(world: World) -> Hashable:
     observed, acted, model = world.environment.observation_space, world.environment.action_space, world.model
     action = type(acted), acted.shape, str(acted.dtype), getattr(acted, "n", None)
-    tables = model and (
-        model.next_cell.shape, model.start_cell.shape, model.max_steps,
-        model.features, model.feature_sizes, model.num_distractors,
-    )  # fmt: skip
+    tables = model and (model.shape, model.features, model.num_distractors)
     try:
         entry = form_of(observed)
     except ValueError:  # of a space that is not supported, which is said where the learners are made

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from apel.configs import ObservationRule
 from apel.dynamics.batched_environment import ENVIRONMENTS, Runs, Stepped
+from apel.dynamics.finite_model import observations_of
 from apel.environments import outcomes
 from apel.environments.carried_state import Carried, State, Tape
 from apel.environments.layers import is_known
@@ -100,9 +101,7 @@ class EnvironmentList:
 
     def decode(self, entries: NDArray[Any]) -> NDArray[Any]:
         """The raw observations ``[…, features]``, or ``[…]`` where there is only one feature."""
-        if self._sizes is None or len(self._sizes) == 1:
-            return entries
-        return np.stack(np.unravel_index(entries, self._sizes), axis=-1)
+        return entries if self._sizes is None else observations_of(entries, self._sizes)
 
     def state(self) -> State:
         """What the environments carry over from one episode to the next."""

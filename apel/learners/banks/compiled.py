@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from apel.dynamics.finite_model import FiniteModel, stack_models
+from apel.dynamics.finite_model import FiniteModel, observations_of, stack_models
 from apel.experience.action_form import ActionForm
 from apel.experience.trajectory import Episodes, Trajectory, TrajectoryBatch
 from apel.learners.banks.batched_learner import NO_ERRORS
@@ -32,9 +32,7 @@ class StateNumbers:
 
     def decode(self, entries: NDArray[Any]) -> NDArray[np.int64]:
         """``int64[…, features]``, or ``int64[…]`` where there is only one feature."""
-        if len(self._sizes) == 1:
-            return entries.astype(np.int64)
-        return np.stack(np.unravel_index(entries, self._sizes), axis=-1)
+        return observations_of(entries.astype(np.int64), self._sizes)
 
 
 class CompiledBank:

@@ -75,8 +75,7 @@ def _switch_delays(
 
 def _means_over_windows(folder: Folder, arm: str, selection: Selection) -> Any:
     first, last = selection.windows[0][0], selection.windows[-1][1]
-    frame = _read(folder, arm, selection, ["episode"])
-    frame = frame[frame["episode"].between(first, last)]
+    frame = _read(folder, arm, selection, ["episode"], within=(first, last))
     starts, ends = _edges(selection.windows)
     window = np.searchsorted(starts, frame["episode"].to_numpy(), side="right") - 1
     return _means(frame, WINDOW, starts[window], frame["episode"].to_numpy() <= ends[window], selection.metric)
@@ -95,11 +94,21 @@ def _means_over_parts(folder: Folder, arm: str, selection: Selection) -> Any:
     return _means(frame, PART, starts[part], (place > starts[part]) & (place <= ends[part]), selection.metric)
 
 
-def _read(folder: Folder, arm: str, selection: Selection, columns: Sequence[str]) -> Any:
+def _read(
+    folder: Folder,
+    arm: str,
+    selection: Selection,
+    columns: Sequence[str],
+    within: tuple[float, float] | None = None,
+) -> Any:
+    """Recorded episodes; only those ``within`` the first and the last, where it is given."""
     table = read_episodes(folder, arm, [*_RUN, *columns, selection.metric])
     if table is None:
         message = f"no recorded episodes of {arm}"
         raise MissingError(message)
+    if within is not None:
+        episode, (first, last) = table["episode"], within
+        table = table.filter(pc.and_(pc.greater_equal(episode, first), pc.less_equal(episode, last)))
     if selection.learner is not None:
         place = table.column_names.index(selection.metric)
         table = table.set_column(place, selection.metric, pc.list_element(table[selection.metric], selection.learner))

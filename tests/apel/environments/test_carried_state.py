@@ -15,8 +15,8 @@ from apel.environments.environment_list import EnvironmentList
 RUN = np.zeros(1, dtype=np.int64)
 
 
-class Counting(NormalizeObservation[Any, Any, Any]):
-    """Pays for the number of its episodes, which the wrapper that it derives from does not know of."""
+class PaysByEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Pays for the number of its episodes, which the wrapper that stands behind it does not know of."""
 
     num_episodes = 0
 
@@ -29,18 +29,12 @@ class Counting(NormalizeObservation[Any, Any, Any]):
         return observation, float(reward) + self.num_episodes, *rest
 
 
-class CountingReward(NormalizeReward[Any, Any]):
+class Counting(PaysByEpisode, NormalizeObservation[Any, Any, Any]):
+    """Carries that besides what is normalised by."""
+
+
+class CountingReward(PaysByEpisode, NormalizeReward[Any, Any]):
     """The same of the other wrapper."""
-
-    num_episodes = 0
-
-    def reset(self, **options: Any) -> Any:
-        self.num_episodes += 1
-        return super().reset(**options)
-
-    def step(self, action: Any) -> Any:
-        observation, reward, *rest = super().step(action)
-        return observation, float(reward) + self.num_episodes, *rest
 
 
 class Telling(Counting):
