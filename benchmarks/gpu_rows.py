@@ -125,5 +125,6 @@ def measured(device: str, seconds: float, folder: Path) -> Iterator[dict[str, An
 
 if __name__ == "__main__":
     place = Path(sys.argv[3]) if len(sys.argv) > 3 else Path(tempfile.mkdtemp())
+    place.mkdir(parents=True, exist_ok=True)
     for one in measured(sys.argv[1], float(sys.argv[2]), place):
         print(json.dumps(one), flush=True)
