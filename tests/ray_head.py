@@ -14,8 +14,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import psutil
-
 from tests.forks import BIN
 from tests.processes import apel
 
@@ -41,26 +39,9 @@ class Head:
         """Call ``apel`` as a user of this cluster."""
         return self.program(*words, cwd=cwd, env=self.env, check=check, timeout=timeout)
 
-    def kill(self) -> None:
-        """Kill all its processes at once, as a machine that loses its power does."""
-        for process in self.processes():
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
-
-    def processes(self) -> list[psutil.Process]:
-        """All that were started by it or for it, drivers included: those with its token in their environment."""
-        found = []
-        for process in psutil.process_iter():
-            with suppress(psutil.Error):
-                if process.environ().get("RAY_AUTH_TOKEN") == self.env["RAY_AUTH_TOKEN"]:
-                    found.append(process)
-        return found
-
 
 @contextmanager
-def ray_head(
-    num_cpus: int = 2, state: Path | None = None, variables: Mapping[str, str] | None = None
-) -> Iterator[Head]:
+def ray_head(num_cpus: int = 2, variables: Mapping[str, str] | None = None) -> Iterator[Head]:
     """Start a head on free ports of this machine, and stop its processes, and no others, at the end."""
     gcs, dashboard, agent, metrics, client = free_ports(5)
     # Ray's sockets lie below it, and their paths may not be long.
@@ -73,7 +54,7 @@ def ray_head(
         "RAY_API_SERVER_ADDRESS": f"http://127.0.0.1:{dashboard}",
         "RAY_max_direct_call_object_size": "2000000",
         "RAY_GRACEFUL_SHUTDOWN_DRAIN_TIMEOUT_S": "0",
-        "XDG_STATE_HOME": str(state or Path(temp_dir, "state")),
+        "XDG_STATE_HOME": str(Path(temp_dir, "state")),
         **(variables or {}),
     }
     env.pop("RAY_ADDRESS", None)

@@ -26,6 +26,7 @@ from moto.server import ThreadedMotoServer
 
 from tests.forks import BIN
 from tests.ray_head import free_ports
+from tests.same_rows import assert_same, play
 from tests.standing_by import standing_by
 
 ROOT = Path(__file__).parent.parent
@@ -239,7 +240,15 @@ def follow(page: Path, storage_port: int, programs: str) -> str:
                 elif wrong := deviation(step, session):
                     logs = [f"{log.name}:\n{log.read_text()[-2000:]}" for log in sorted(folder.glob("*.log"))]
                     return "\n".join([f"{page.name}: {wrong}", *logs])
+            if page.stem == "4-on-a-cluster":
+                check_rows(folder)
     return ""
+
+
+def check_rows(folder: Path) -> None:
+    """The job that was stopped, and lost its head, has the rows of one that was played here at once."""
+    (fetched,) = (folder / "here" / "long").iterdir()
+    assert_same(play(folder / "long.yaml", folder / "at-once", placement="local"), fetched)
 
 
 def deviation(command: Command, session: Shell) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import time
@@ -21,7 +20,7 @@ from jobs.runner import Settings, run_experiment
 from tests.experiments import write_slow
 from tests.forks import BIN
 from tests.processes import started
-from tests.ray_head import Head, ray_head
+from tests.ray_head import Head
 from tests.same_rows import assert_same, folder_of
 
 USER_CODE = Path(__file__).parents[2] / "user_code.py"
@@ -162,11 +161,43 @@ def test_in_python(head: Head, tmp_path: Path) -> None:
     assert files == {"experiment.yaml", "helpers.py", "mine/worlds.py", "walkers.py"}
 
 
+def both_at_once(command: list[str], head: Head, cwd: Path) -> list[str]:
+    """What two processes of the same command print, neither of which may fail."""
+    pipe = subprocess.PIPE
+    with (
+        started(command, cwd=cwd, env=head.env, stdout=pipe, stderr=pipe) as one,
+        started(command, cwd=cwd, env=head.env, stdout=pipe, stderr=pipe) as other,
+    ):
+        said = [process.communicate(timeout=600) for process in (one, other)]
+    assert [one.returncode, other.returncode] == [0, 0], said
+    return [out for out, _ in said]
+
+
+def submitted_twice(head: Head, command: list[str], cwd: Path) -> str:
+    """Of two submissions of the same at once one is the other; with other options it is refused. The job's name."""
+    said = both_at_once([str(BIN / "apel"), *command], head, cwd)
+    jobs = {out.split()[0] for out in said}
+    assert len(jobs) == 1
+    assert sum("is already running this" in out for out in said) == 1
+    (job,) = jobs
+    other = head.apel(*command, "--shard-size", "3", cwd=cwd, check=False)
+    assert other.returncode == 2
+    assert f"found the job {job} at work on this experiment" in other.stderr
+    return job
+
+
 def test_stop_and_resume(head: Head, slow_while: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job that is stopped has checkpoints of what was under way; resumed it completes, to the undisturbed rows."""
-    words = ("--results", str(tmp_path / "there"), "--placement", "packed", "--shard-size", "2")
-    job, *_ = head.apel("submit", "slow.yaml", *words, cwd=tmp_path).stdout.split()
+    """A job is submitted once, whoever asks again. Stopped, it has checkpoints of what was under way; resumed it
+    completes, to the undisturbed rows.
+    """
+    words = ["slow.yaml", "--results", str(tmp_path / "there"), "--placement", "packed", "--shard-size", "2"]
+    job = submitted_twice(head, ["submit", *words], tmp_path)
     wait_until_running(head, job, tmp_path)
+    # Past the cluster's list of jobs, by another driver, the results themselves refuse.
+    here = head.apel("run", *words, cwd=tmp_path, check=False)
+    assert here.returncode == 2
+    assert f"found results that job {job}, process" in here.stderr
+    check_metrics(head, job)
     stopped = head.apel("stop", job, cwd=tmp_path).stdout
     assert stopped.startswith(f"{job}: stopped, ")
     found = status(head, job, tmp_path)
@@ -183,62 +214,6 @@ def test_stop_and_resume(head: Head, slow_while: Path, tmp_path: Path, monkeypat
     slow = load_experiment(str(tmp_path / "slow.yaml"))
     whole = run_experiment(slow, Settings(str(tmp_path / "here"), placement="local"))
     assert_same(folder_of(whole), next((tmp_path / "there").rglob("runs.parquet")).parent)
-
-
-def test_head_is_lost(head: Head, slow_while: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the head was lost, with all that Ray knew, the job goes on with another head, to the same rows."""
-    many = ("runs=40", "episodes=20")
-    sets = [word for field in many for word in ("--set", field)]
-    with ray_head(state=tmp_path / "state") as first:
-        words = (*sets, "--results", str(tmp_path / "there"), "--placement", "packed", "--shard-size", "1")
-        job = first.apel("submit", "slow.yaml", *words, cwd=tmp_path).stdout.split()[0]
-        deadline = time.monotonic() + 600
-        while not list((tmp_path / "there").rglob("parts/*/*.parquet")) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        first.kill()
-    slow_while.unlink()
-    parts = len(list((tmp_path / "there").rglob("parts/*/*.parquet")))
-    assert 1 <= parts < 40, "there was nothing left to do"
-    second = replace(head, env={**head.env, "XDG_STATE_HOME": str(tmp_path / "state")})
-    resumed = second.apel("resume", job, "--follow", cwd=tmp_path).stdout
-    assert re.search(rf"\b{40 - parts} runs in", resumed), resumed
-    monkeypatch.syspath_prepend(tmp_path)
-    experiment = load_experiment(str(tmp_path / "slow.yaml"), many)
-    whole = run_experiment(experiment, Settings(str(tmp_path / "here"), placement="local"))
-    assert_same(folder_of(whole), next((tmp_path / "there").rglob("runs.parquet")).parent)
-
-
-def both_at_once(command: list[str], head: Head, cwd: Path) -> list[str]:
-    """What two processes of the same command print, neither of which may fail."""
-    pipe = subprocess.PIPE
-    with (
-        started(command, cwd=cwd, env=head.env, stdout=pipe, stderr=pipe) as one,
-        started(command, cwd=cwd, env=head.env, stdout=pipe, stderr=pipe) as other,
-    ):
-        said = [process.communicate(timeout=600) for process in (one, other)]
-    assert [one.returncode, other.returncode] == [0, 0], said
-    return [out for out, _ in said]
-
-
-def test_submitted_twice(head: Head, slow_while: Path, tmp_path: Path) -> None:
-    """Of two submissions of the same at once one is the other; with other options it is refused; nothing is harmed."""
-    endless = ("--set", "episodes=600000", "--set", "record=none", "--placement", "packed", "--shard-size", "4")
-    command = [str(BIN / "apel"), "submit", "slow.yaml", *endless, "--results", str(tmp_path / "there")]
-    said = both_at_once(command, head, tmp_path)
-    jobs = {out.split()[0] for out in said}
-    assert len(jobs) == 1
-    assert sum("is already running this" in out for out in said) == 1
-    (job,) = jobs
-    other = head.apel(*command[1:], "--shard-size", "2", cwd=tmp_path, check=False)
-    assert other.returncode == 2
-    assert f"found the job {job} at work on this experiment" in other.stderr
-    wait_until_running(head, job, tmp_path)
-    # Past the cluster's list of jobs, by another driver, the results themselves refuse.
-    here = head.apel("run", *command[2:], cwd=tmp_path, check=False)
-    assert here.returncode == 2
-    assert f"found results that job {job}, process" in here.stderr
-    check_metrics(head, job)
-    assert head.apel("stop", job, cwd=tmp_path).stdout.startswith(f"{job}: stopped")
 
 
 def test_failing_job(head: Head, small: Path, tmp_path: Path) -> None:
