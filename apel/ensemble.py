@@ -20,6 +20,7 @@ from apel.building import bank_of_learners, make_learner, make_performance
 from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import World, environment_list
 from apel.learners.base import StreakLimit
+from apel.learners.starts import begin_bank
 from apel.run.criterion import Criterion
 from apel.run.floor import ActingFloor
 from apel.run.opening import open_book
@@ -110,6 +111,8 @@ class Ensemble:
         self._banks = [
             bank_of_learners([one], environment, [world], measure, freezes=freezes, raises=True) for one in made
         ]
+        for bank, config in zip(self._banks, learners, strict=True):
+            begin_bank(bank, [config], [world.spaces])
         self._world, self._configs, self._seed = world, tuple(learners), seed
         self._book = open_book(
             self.selector,

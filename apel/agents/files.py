@@ -59,14 +59,15 @@ def write_agent(content: AgentContent, folder: str | os.PathLike[str]) -> None:
     """
     path = Path(folder)
     files = agent_files(content)
-    if path.exists() and not (path.is_dir() and {one.name for one in path.iterdir()} <= files.keys()):
+    unfinished = {name: path / f".{name}.unfinished" for name in files}
+    ours = {*files, *(one.name for one in unfinished.values())}  # a process may have died between the two
+    if path.exists() and not (path.is_dir() and {one.name for one in path.iterdir()} <= ours):
         message = f"{path}: found something that is no agent, expected a new folder, or that of an agent"
         raise ValueError(message)
     path.mkdir(parents=True, exist_ok=True)
     for name, stored in files.items():
-        unfinished = path / f".{name}.unfinished"
-        unfinished.write_bytes(stored)
-        unfinished.replace(path / name)
+        unfinished[name].write_bytes(stored)
+        unfinished[name].replace(path / name)
 
 
 def read_agent(folder: str | os.PathLike[str]) -> tuple[AgentContent, str]:

@@ -215,6 +215,11 @@ class PartsView(View):
         self._terminal = _signal("terminal", representation.terminal, space)
         self._parts_of = space
 
+    @property
+    def is_whole(self) -> bool:
+        """What stands in trajectories is made into parts again."""
+        return False
+
 
 def _channel(representation: Representation, space: spaces.Space[Any]) -> str | None:
     if not isinstance(space, ChannelSpace):

@@ -109,6 +109,18 @@ def test_ensembles_and_shards_play_the_same(action: str) -> None:
     assert {row[1] for row in rows[0]} == {0, 1}
 
 
+@pytest.mark.parametrize("observation", ["Dict", "finite Tuple"])
+def test_parts_are_shown_one_by_one_as_together(observation: str) -> None:
+    """To members of a vote, for one, which are asked for one observation at a time."""
+    world = world_of("Discrete", observation)
+    _, view = make_learner(LearnerConfig(f"{CODE}:Whole"), world, 0, 0)
+    seen, _ = world.environment.reset(seed=1)
+    one, (together,) = view(seen), view.batch(np.asarray(seen)[None])
+    assert type(one) is type(together)
+    assert OBSERVATIONS[observation].contains(one)
+    np.testing.assert_equal(one, together)
+
+
 MISTAKES: dict[str, tuple[str, Any, str]] = {
     "above": (
         "Box",

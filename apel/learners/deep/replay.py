@@ -22,7 +22,7 @@ class Ring(NamedTuple):
     frames: Frames
     numbers: NDArray[np.int64]
     """``[R, N, 2 · stack]``: of the frames of both observations."""
-    action: NDArray[np.int16]
+    action: NDArray[np.int32]
     """``[R, N]``, like the rest."""
     reward: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -164,6 +164,28 @@ def _encode(frames: Frames, coding: Coding, run: int, numbers: NDArray[np.int64]
         encode(coding, one.reshape((1, one.shape[0])), inputs[k * length : (k + 1) * length])
 
 
+def check_room(filled: int, added: int, capacity: int) -> None:
+    """See that what stood in a ring stands in the same slots of this one: none is full, or it is as large.
+
+    Parameters
+    ----------
+    filled, added:
+        How many slots of that ring are filled, and how often one was.
+    capacity:
+        Slots of this one.
+
+    Raises
+    ------
+    ValueError
+        If it does not.
+    """
+    if filled > capacity or (added > filled and filled != capacity):
+        message = (
+            f"found room for {capacity} in the replay memory, expected {filled}, as in the one that it begins with"
+        )
+        raise ValueError(message)
+
+
 class ReplayMemory:
     """The rings of R runs.
 
@@ -185,7 +207,7 @@ class ReplayMemory:
         grid = num_runs, capacity
         self._columns: tuple[NDArray[Any], ...] = (
             np.zeros((*grid, 2 * stack), dtype=np.int64),
-            np.zeros(grid, dtype=np.int16),
+            np.zeros(grid, dtype=np.int32),
             np.zeros(grid, dtype=np.float32),
             np.zeros(grid, dtype=np.bool_),
         )
@@ -219,7 +241,14 @@ class ReplayMemory:
         return {"added": self._added.copy(), "columns": columns, "frames": self._frames.state(), **own}
 
     def restore(self, state: State) -> None:
-        """Go back to what `state` returned; `arrays` may have to be replaced."""
+        """Go back to what `state` returned; `arrays` may have to be replaced.
+
+        Raises
+        ------
+        ValueError
+            If that is of a memory of another size, and does not fit.
+        """
+        check_room(state["columns"][1].shape[1], int(np.max(state["added"])), self._columns[1].shape[1])
         self._added[:] = state["added"]
         for column, stored in zip(self._columns, state["columns"], strict=True):
             column[:, : stored.shape[1]] = stored

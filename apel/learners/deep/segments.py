@@ -11,6 +11,7 @@ from apel.dynamics.batched_environment import Runs
 from apel.learners.base import State
 from apel.learners.deep.encoding import Coding, encode
 from apel.learners.deep.own import Own, draw_own, keep, own_of, own_part, rebuild
+from apel.learners.deep.replay import check_room
 from apel.numerics.compiled import njit
 from apel.numerics.streams import Stream, integer
 
@@ -24,7 +25,7 @@ class Segments(NamedTuple):
 
     frames: NDArray[np.uint8]
     """``[R, N + 1, T + 1, stack, bytes]``: the state after the last step included."""
-    action: NDArray[np.int16]
+    action: NDArray[np.int32]
     """``[R, N + 1, T]``."""
     reward: NDArray[np.float32]
     behaviour: NDArray[np.float32]
@@ -175,7 +176,7 @@ class SegmentMemory:
         grid = *slots, length
         self.arrays = Segments(
             frames=np.zeros((*slots, length + 1, *frames), dtype=np.uint8),
-            action=np.zeros(grid, dtype=np.int16),
+            action=np.zeros(grid, dtype=np.int32),
             reward=np.zeros(grid, dtype=np.float32),
             behaviour=np.zeros((*grid, num_actions), dtype=np.float32),
             length=np.zeros(slots, dtype=np.int64),
@@ -196,8 +197,17 @@ class SegmentMemory:
         return {"closed": closed.copy(), "columns": [column[:, :filled].copy() for column in self._columns], **told}
 
     def restore(self, state: State) -> None:
-        """Go back to what `state` returned."""
+        """Go back to what `state` returned.
+
+        Raises
+        ------
+        ValueError
+            If that is of a memory of another size, and does not fit.
+        """
         closed = self.arrays.closed
+        # The open segments stand in a slot of their own.
+        held, begun = state["columns"][4].shape[1] - 1, int(np.max(state["closed"]))
+        check_room(held, begun, self.arrays.length.shape[1] - 1)
         closed[:] = state["closed"]
         for column, stored in zip(self._columns, state["columns"], strict=True):
             column[:, : stored.shape[1]] = stored

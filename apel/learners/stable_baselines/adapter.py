@@ -263,8 +263,10 @@ class StableBaselines:
         if sizes[0] != sizes[1]:
             message = f"buffer_size: found {sizes[1]}, expected {sizes[0]}, as of the learner that it begins with"
             raise ValueError(message)
-        kept = {name: own[name] for name in ("frozen", "random", "random_actions")}
+        kept = {name: own[name] for name in ("frozen", "noise", "random", "random_actions")}
         numbers = with_own_options(state["numbers"], own["numbers"], type(algorithm))
+        memory = type(algorithm.replay_buffer)
+        kept["replay_numbers"] = with_own_options(state["replay_numbers"], own["replay_numbers"], memory)
         modules = learned_modules(state["modules"], own["modules"])
         variables = learned_variables(state["variables"], own["variables"])
         self.restore({**state, **kept, "numbers": numbers, "modules": modules, "variables": variables})

@@ -79,6 +79,9 @@ class StableBaselinesOnPolicy:
     ) -> None:
         if isinstance(action_space, spaces.Box):
             check_actions(action_space)
+        if isinstance(action_space, spaces.MultiDiscrete) and len(action_space.shape) != 1:
+            message = f"found the action space {action_space}, expected one of a single dimension, as stable-baselines3"
+            raise ValueError(message)
         check_options(total_timesteps, options)
         if options.get("use_sde"):
             message = "use_sde: found true, expected false: noise that lasts for steps is not kept between episodes"
@@ -116,7 +119,8 @@ class StableBaselinesOnPolicy:
         action, density = drawn[0].cpu().numpy(), float(log_probability[0].exp())
         space = self._actions.space
         if not isinstance(space, spaces.Box):
-            return action.astype(space.dtype).reshape(space.shape), density
+            first = space.start if isinstance(space, spaces.MultiDiscrete) else 0  # SB3 counts from 0
+            return (action.reshape(space.shape) + first).astype(space.dtype), density
         within = np.clip(action, space.low, space.high)
         return within, density if np.array_equal(within, action) else None
 

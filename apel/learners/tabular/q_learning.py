@@ -136,7 +136,8 @@ class QLearning:
     def action_values(self, observation: Any) -> NDArray[np.float64]:
         """Q(s, ·) ``float64[actions]``, as it was when the policy was frozen if it ever was."""
         table = self.table if self.frozen is None else self.frozen
-        return table[observation_key(observation)]
+        values = table.get(observation_key(observation))  # which, unlike table[…], adds no row
+        return self._zeros() if values is None else values.copy()
 
     def freeze(self) -> None:
         """Act on today's table until the next call."""

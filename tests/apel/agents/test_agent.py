@@ -104,6 +104,19 @@ def test_save_after_going_on(tmp_path: Path) -> None:
     assert apel.load(tmp_path / "agent").digest == agent.digest != before
 
 
+@pytest.mark.parametrize("kind", ["q_learning", "dyna_q", "voting", "dqn"])
+def test_asking_changes_nothing(kind: str) -> None:
+    """To act on what was learned, or to read its values, is not to learn: the digest stays."""
+    config, learner = LEARNERS[kind]
+    agent = ensemble_of(config, [learner], 3).agent(config)
+    before = agent.digest
+    observation, _ = apel.make_world(config, 4).environment.reset(seed=11)
+    agent.act(observation)
+    values = agent.learner("learner 0").action_values(observation)  # type: ignore[attr-defined]
+    values[:] = 7.0
+    assert agent.digest == before
+
+
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An agent of two learners in a maze, saved."""
@@ -337,3 +350,6 @@ def test_folder_of_something_else(both: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="found something that is no agent"):
         agent.save(tmp_path)
     agent.save(both)
+    (both / f".{AGENT_FILE}.unfinished").write_text("{")  # a process died while it saved
+    agent.save(both)
+    assert {one.name for one in both.iterdir()} == {AGENT_FILE, ARRAYS_FILE}

@@ -87,6 +87,19 @@ def test_one_that_begins_with_another_keeps_its_own_entropy_coefficient() -> Non
     assert_same_parameters(parameters(new), old.algorithm.policy.state_dict())
 
 
+def test_one_that_begins_with_another_keeps_its_own_noise_and_returns() -> None:
+    """Noise of another kind has no past here; nor is the memory told the other one's γ, or how many steps it sums."""
+    normal, process = ({"type": name, "sigma": 0.1} for name in ("normal", "ornstein_uhlenbeck"))
+    old = learner_of("stable_baselines3:TD3", PENDULUM.action_space, action_noise=normal, n_steps=2, gamma=0.9)
+    new = learner_of("stable_baselines3:TD3", PENDULUM.action_space, seed=2, action_noise=process, n_steps=5, gamma=0.8)
+    list(episodes(old, pendulum(), 48, 1))
+    begin(new, unpack(pack(old.state())))
+    memory = new.algorithm.replay_buffer
+    assert (memory.gamma, memory.n_steps, memory.size()) == (0.8, 5, 40)
+    list(episodes(new, pendulum(), 48, 1))
+    assert np.abs(new.algorithm.action_noise.noise_prev).max() > 0
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_checkpoint(algorithm: str) -> None:
     """After a checkpoint in the middle of a rollout nothing differs from going on, the noise's past included."""

@@ -140,6 +140,23 @@ def test_one_that_begins_with_another_keeps_its_own_options(name: str, changed: 
     assert any(not torch.equal(before[key], value) for key, value in new.algorithm.policy.state_dict().items())
 
 
+def test_actions_may_count_from_elsewhere() -> None:
+    """SB3 counts from 0; what is played lies in the space, and all of it is played."""
+    space = spaces.MultiDiscrete([2, 3], start=[1, -1])
+    learner = StableBaselinesOnPolicy(SPACE, space, 1, **OPTIONS["A2C"], algorithm="stable_baselines3:A2C")
+    here, taken = np.zeros(4, dtype=np.float32), list[Any]()
+    for _ in range(60):
+        action, probability = learner.act(here)
+        taken.append(action)
+        learner.learn(Transition(here, action, 1.0, here, False, False, probability))
+    assert all(space.contains(action) for action in taken)
+    assert {tuple(action.tolist()) for action in taken} == {(i, j) for i in (1, 2) for j in (-1, 0, 1)}
+    buffer = learner.algorithm.rollout_buffer
+    np.testing.assert_array_equal(buffer.actions[buffer.pos - 1, 0], taken[-1] - space.start)
+    with pytest.raises(ValueError, match="expected one of a single dimension"):
+        StableBaselinesOnPolicy(SPACE, spaces.MultiDiscrete([[2, 2], [2, 2]]), 1, **OPTIONS["A2C"])
+
+
 def optimiser_options(learner: StableBaselinesOnPolicy) -> dict[str, Any]:
     """By name; pairs as lists, as checkpoints have them."""
     (options,) = learner.algorithm.policy.optimizer.param_groups
