@@ -229,17 +229,23 @@ def _unseen(candidates: Sequence[Candidate], played: Sequence[PlayedRuns]) -> li
 
 
 def _costs(candidates: Sequence[Candidate], rows: Sequence[pd.DataFrame]) -> tuple[Cost, ...]:
-    alone = {
-        (one.point.spec.learner_names[0], one.point.point.label): (int(part["steps"].sum()), len(part))
+    singles = [
+        (one.point, int(part["steps"].sum()), len(part))
         for one, part in zip(candidates, rows, strict=True)
         if one.point.num_learners == 1
-    }
+    ]
     found = []
     for one, part in zip(candidates, rows, strict=True):
         steps, count = int(part["steps"].sum()), one.point.num_learners
-        singles = [alone.get((name, one.point.point.label)) for name in one.point.spec.learner_names]
+        # A learner that an axis does not touch was played once for all of its points.
+        alone = {
+            point.spec.learner_names[0]: played
+            for point, *played in singles
+            if point.point.values.items() <= one.point.point.values.items()
+        }
+        pairs = [alone.get(name) for name in one.point.spec.learner_names]
         # A learner that was run less, or more, often is counted as often as the ensemble.
-        measured = [round(pair[0] * len(part) / pair[1]) for pair in singles if pair is not None]
+        measured = [round(pair[0] * len(part) / pair[1]) for pair in pairs if pair is not None]
         is_measured = len(measured) == count
         others = None if count == 1 else sum(measured) if is_measured else count * steps
         found.append(Cost(one.name, len(part), count, steps, others, is_measured))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Callable
@@ -162,6 +163,18 @@ def test_costs(play: Play) -> None:
     steps = other.runs().to_pandas().groupby("arm")["steps"].sum()
     apel = {cost.name: cost for cost in answer(other).costs}["APEL"]
     assert (apel.alone, apel.is_measured) == (steps["Q_full"] + steps["SSBAS"], True)
+
+
+def test_costs_in_a_sweep(play: Play) -> None:
+    """Learners alone that an axis does not touch are those of an ensemble at every point; others those of its own."""
+    decays, rates = "arms.APEL.selector.decay: [0.01, 0.1]", "learners.Q_full.learning_rate: [0.1, 0.2]"
+    store = play(*AT_LENGTH, "arms.SSBAS={learners: [Q_red]}", f"sweep={{{decays}, {rates}}}")
+    steps = store.runs().to_pandas().groupby(["arm", "sweep"])["steps"].sum()
+    costs = {cost.name: cost for cost in answer(store).costs}
+    for decay, rate in itertools.product((0.01, 0.1), (0.1, 0.2)):
+        own = f"learners.Q_full.learning_rate={rate}"
+        apel = costs[f"APEL [arms.APEL.selector.decay={decay}, {own}]"]
+        assert (apel.alone, apel.is_measured) == (steps["Q_full", own] + steps["SSBAS", ""], True)
 
 
 def test_sweeps(play: Play) -> None:
