@@ -17,6 +17,7 @@ import inspect
 import io
 import json
 import sys
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -39,6 +40,8 @@ _KIND = (
 )  # fmt: skip
 """Flags that say what a function is; others say how it was compiled."""
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
+_BUILTIN = (*_PLAIN, list, tuple, dict, set, frozenset, np.ndarray)
+"""What is told without its class, where that is not the user's."""
 
 
 class CodeReader:
@@ -67,18 +70,20 @@ class CodeReader:
 
     def _told(self, value: Any) -> Any:
         """What a value is, in lists and texts."""
-        if isinstance(value, _PLAIN):
+        is_own = _is_own(type(value))
+        if isinstance(value, _PLAIN) and not is_own:
             return [type(value).__name__, repr(value)]
         if id(value) in self._outer:
             return ["within", self._outer[id(value)]]
-        if not isinstance(value, tuple | frozenset):  # of constants, those that are equal may be one or not
+        if is_own or not isinstance(value, tuple | frozenset):  # of constants, those that are equal may be one or not
             if id(value) in self._seen:
                 return ["again", self._seen[id(value)]]
             self._seen[id(value)] = len(self._seen)
             self._kept.append(value)  # or its identity could become another value's
             self._open[id(value)] = len(self._outer) + len(self._open)
         try:
-            return [type(value).__name__, *self._parts(value)]
+            parts = [_plain_text(value)] if isinstance(value, _PLAIN) else self._parts(value)
+            return [type(value).__name__, *parts, *self._beyond(value)]
         finally:
             self._open.pop(id(value), None)
 
@@ -118,6 +123,13 @@ class CodeReader:
                 yield from self._named(value)
             case _:
                 yield from self._instance(value)
+
+    def _beyond(self, value: Any) -> Iterator[Any]:
+        """What a value is beyond that which it is to a builtin: how it makes items, and the user's class of it."""
+        if isinstance(value, defaultdict):
+            yield self._told(value.default_factory)
+        if isinstance(value, _BUILTIN) and _is_own(type(value)):
+            yield from map(self._told, (type(value), _attributes(value)))
 
     def _named(self, value: Any) -> Iterator[Any]:
         yield value.__qualname__
@@ -174,8 +186,8 @@ class CodeReader:
         elif isinstance(value, Registration):
             self._note_imports(value.modules)
             yield self._told(vars(value))
-        elif not is_importable(type(value)) and hasattr(value, "__dict__"):
-            yield self._told(vars(value))
+        elif not is_importable(type(value)) and ((attributes := _attributes(value)) or hasattr(value, "__dict__")):
+            yield self._told(attributes)
         else:
             yield hashlib.sha256(self._pickled(value)).hexdigest()
 
@@ -187,8 +199,13 @@ class CodeReader:
             return file.getvalue()
 
     def _persistent(self, value: Any) -> str | None:
-        is_set = isinstance(value, set | frozenset)
-        return json.dumps([type(value).__qualname__, *self._in_any_order(value)]) if is_set else None
+        if isinstance(value, set | frozenset):
+            return json.dumps([type(value).__qualname__, *self._in_any_order(value)])
+        if not isinstance(value, type | FunctionType) or not _is_own(value):
+            return None
+        self._note(value.__module__)
+        # Pickles of classes that cannot be imported bear a mark of the process, those of functions their lines.
+        return None if is_importable(value) else json.dumps(self._told(value))
 
     def _note(self, module: str | None) -> None:
         if module in sys.modules and module != "__main__" and not is_installed(module):
@@ -196,6 +213,30 @@ class CodeReader:
 
     def _note_imports(self, modules: Iterable[str]) -> None:
         self.modules |= {module for module in modules if is_local(module)}
+
+
+def _is_own(part: type | FunctionType) -> bool:
+    """Whether a class or function is the user's: neither Python's, nor ours, nor an installed package's."""
+    module = part.__module__
+    if not isinstance(module, str) or module in ("builtins", "numpy"):
+        return False
+    return module == "__main__" or not is_installed(module)
+
+
+def _plain_text(value: Any) -> str:
+    """What a plain value is to the builtin, or to NumPy's class, that its own class derives from; that may show it as
+    anything.
+    """
+    base: Any = next(one for one in type(value).__mro__ if one in _PLAIN or one.__module__ == "numpy")
+    return str(base.__repr__(value))
+
+
+def _attributes(value: Any) -> dict[str, Any]:
+    """What a value holds by name, in slots or not."""
+    slots = [
+        name for kind in type(value).__mro__ for name in vars(kind) if inspect.ismemberdescriptor(vars(kind)[name])
+    ]
+    return {name: getattr(value, name) for name in slots if hasattr(value, name)} | getattr(value, "__dict__", {})
 
 
 def is_importable(part: Any) -> bool:

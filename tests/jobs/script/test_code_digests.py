@@ -72,7 +72,7 @@ def make():
 def read(text: str, name: str = "Walk") -> str:
     """The digest of something that a script holds, as if it were typed into a notebook."""
     held: dict[str, Any] = {"__name__": "__main__"}
-    exec(compile(text, "<ipython-input-1>", "exec"), held)
+    exec(compile(text, "<ipython-input-1>", "exec", dont_inherit=True), held)
     return CodeReader().digest(held[name])
 
 
@@ -122,16 +122,18 @@ def test_dataclass_defaults() -> None:
     assert read(SCRIPT.replace("float = 0.1", "float = 0.2"), "Rule") != read(SCRIPT, "Rule")
 
 
-def test_in_another_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kinds", ["", "of builtins"])
+def test_in_another_process(kinds: str, tmp_path: Path) -> None:
     """A script's own process says the same as a notebook's, whatever the hashes of its texts."""
     script = tmp_path / "script.py"
-    script.write_text(f"{SCRIPT}\nfrom jobs.script.code_digests import CodeReader\nprint(CodeReader().digest(make))\n")
+    text = KINDS if kinds else SCRIPT
+    script.write_text(f"{text}\nfrom jobs.script.code_digests import CodeReader\nprint(CodeReader().digest(make))\n")
     for seed in ("1", "2"):
         env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[3]), "PYTHONHASHSEED": seed}
         told = subprocess.run(
             [sys.executable, script], env=env, check=True, capture_output=True, text=True, timeout=300
         )
-        assert told.stdout.strip() == read(SCRIPT, "make")
+        assert told.stdout.strip() == read(text, "make")
 
 
 def made(share: float) -> Any:
@@ -167,6 +169,115 @@ def test_sets_that_hold_what_names_them(held: str) -> None:
     """They have an end, and what else is in them counts."""
     text = f"from types import SimpleNamespace\n\n\ndef f():\n    return HELD\n\n\nHELD = {held}\n"
     assert read(text, "f") == read(text, "f") != read(text.replace("reversed", "sorted"), "f")
+
+
+KINDS = """
+import types
+from collections import defaultdict
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Settings(NamedTuple):
+    size: int = 3
+
+    def pay(self):
+        return -1.0
+
+
+class Move(IntEnum):
+    UP = 1
+
+    def pay(self):
+        return -2.0
+
+
+class Colour(Enum):
+    RED = 1
+
+    def pay(self):
+        return -3.0
+
+
+class Table(dict):
+    def __missing__(self, key):
+        return -4.0
+
+
+class Path(list):
+    def pay(self):
+        return -5.0
+
+
+class Metres(float):
+    def __repr__(self):
+        return "m"
+
+    def pay(self):
+        return -6.0
+
+
+class Grid(np.ndarray):
+    def pay(self):
+        return -7.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    size: int
+    name: str = "rule"
+
+    def pay(self):
+        return -8.0
+
+
+Settings.usual = Settings(4)
+Path.usual = Path([Move.UP, Settings.usual])
+Path.usual.within = Path.usual
+SETTINGS, MOVE, COLOUR, TABLE, PATH = Settings(), Move.UP, Colour.RED, Table(a=1), Path([1, 2])
+METRES, GRID, RULE, LATER = Metres(9.5), np.zeros(3).view(Grid), Rule(5), defaultdict(lambda: 1.0)
+HELD = types.SimpleNamespace(rule=Rule(6), kinds=[Settings, Move, lambda: Rule])
+PATH.colour = "red"
+
+
+def make():
+    return SETTINGS, MOVE, COLOUR, TABLE, PATH, METRES, GRID, RULE, LATER, HELD
+"""
+OF_KINDS = {
+    **{f"a method, {number}": (f"return -{number}.0", f"return {number}.0") for number in range(1, 9)},
+    "a factory": ("lambda: 1.0", "lambda: 2.0"),
+    "a value beneath another text": ("Metres(9.5)", "Metres(8.5)"),
+    "a slot": ("Rule(5)", "Rule(7)"),
+    "a slot within": ("Rule(6)", "Rule(7)"),
+    "a field": ("size: int = 3", "size: int = 2"),
+    "a member": ("UP = 1", "UP = 2"),
+    "an attribute of an item": ("Settings(4)", "Settings(5)"),
+    "an attribute of a list": ('"red"', '"blue"'),
+}
+
+
+@pytest.mark.parametrize("what", OF_KINDS)
+def test_classes_that_derive_from_builtins(what: str) -> None:
+    """Of their values the class counts, too, and what they hold beside their items."""
+    old, new = OF_KINDS[what]
+    assert old in KINDS
+    assert read(KINDS, "make") == read(KINDS, "make") != read(KINDS.replace(old, new), "make")
+
+
+@pytest.mark.parametrize("made", ["Settings()", "types.SimpleNamespace(kind=Settings)"])
+def test_values_of_a_module_of_the_users(made: str, maze: Path) -> None:
+    """Their class counts as its file does, whatever it derives from, and whatever it is held by."""
+    maze.write_text("from typing import NamedTuple\n\n\nclass Settings(NamedTuple):\n    size: int = 3\n")
+    held: dict[str, Any] = {"__name__": "__main__"}
+    text = f"import types\nfrom own_maze import Settings\nHELD = {made}\ndef make():\n    return HELD\n"
+    try:
+        exec(text, held)
+        assert digests_of({"make": held["make"]})[1] == {"own_maze"}
+    finally:
+        sys.modules.pop("own_maze", None)
 
 
 def test_packages_that_are_installed_count_by_name() -> None:
