@@ -51,7 +51,7 @@ def agent_of(
         kept = kept_model(store.folder, scene.arm, scene.run, steps)
         if kept is not None:
             return Exported(Agent(_with_parts(kept, scene), trust=trust), was_kept=True)
-        replay = replay_model(scene.arm, scene.run, steps, told)
+        replay = replay_model(scene.arm, scene.to_play(), steps, told)
         num_checked = check_replay(store, replace(scene, episode=len(replay.length) - 1), replay)
         return Exported(Agent(replay.model, trust=trust), was_kept=False, num_checked=num_checked)
     except ValueError as error:

@@ -55,6 +55,17 @@ def run_plan(arm_point: ArmPoint, index: int, seed: int) -> RunPlan:
     Raises
     ------
     OptionError
+        If an option cannot be filled in, or a learner cannot begin with what it shall.
+    """
+    return with_starts(arm_point, fresh_run_plan(arm_point, index, seed))
+
+
+def fresh_run_plan(arm_point: ArmPoint, index: int, seed: int) -> RunPlan:
+    """The same run with learners that begin with nothing: no agent that they would begin with is read for it.
+
+    Raises
+    ------
+    OptionError
         If an option cannot be filled in.
     """
     experiment = arm_point.point.experiment
@@ -70,9 +81,30 @@ def run_plan(arm_point: ArmPoint, index: int, seed: int) -> RunPlan:
             environment.max_episode_steps,
             environment.observations,
         ),
-        learners=_learners(arm_point, variables),
+        learners=tuple(_learner(experiment, name, variables) for name in arm_point.spec.learner_names),
         variables=variables,
     )
+
+
+def with_starts(arm_point: ArmPoint, run: RunPlan) -> RunPlan:
+    """A run of that arm, whose learners begin with what the experiment says.
+
+    Raises
+    ------
+    OptionError
+        If one cannot begin with it.
+    """
+    experiment, names = arm_point.point.experiment, arm_point.spec.learner_names
+    if next(start_paths(experiment), None) is None:
+        return run
+    configs = []
+    for name, numbered, config in zip(names, _distinct(names), run.learners, strict=True):
+        try:
+            start = start_of(experiment, arm_point.arm, name, numbered)
+        except ValueError as error:
+            raise OptionError(("learners", name), str(error)) from error
+        configs.append(replace(config, start=start))
+    return replace(run, learners=tuple(configs))
 
 
 def draw_variables(experiment: Experiment, run_seed: int) -> dict[str, Any]:
@@ -87,21 +119,6 @@ def draw_variables(experiment: Experiment, run_seed: int) -> dict[str, Any]:
 def _gpus(experiment: Experiment, spec: ArmSpec) -> tuple[float, ...]:
     shares = tuple(experiment.learners[name].num_gpus for name in spec.learner_names)
     return shares if any(shares) else ()
-
-
-def _learners(arm_point: ArmPoint, variables: Mapping[str, Any]) -> tuple[LearnerConfig, ...]:
-    """Those of an arm, with what they begin with."""
-    experiment, names = arm_point.point.experiment, arm_point.spec.learner_names
-    configs = [_learner(experiment, name, variables) for name in names]
-    if next(start_paths(experiment), None) is None:
-        return tuple(configs)
-    for position, (name, numbered) in enumerate(zip(names, _distinct(names), strict=True)):
-        try:
-            start = start_of(experiment, arm_point.arm, name, numbered)
-        except ValueError as error:
-            raise OptionError(("learners", name), str(error)) from error
-        configs[position] = replace(configs[position], start=start)
-    return tuple(configs)
 
 
 def _learner(experiment: Experiment, name: str, variables: Mapping[str, Any]) -> LearnerConfig:

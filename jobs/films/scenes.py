@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +16,9 @@ from apel.numerics.seeding import run_seeds
 from cluster.run_replay import Replay
 from cluster.shard import ArmPlan, RunPlan
 from jobs.experiment.plan import Plan
-from jobs.experiment.run_plans import arm_plan, run_plan
+from jobs.experiment.run_plans import OptionError, arm_plan, fresh_run_plan, with_starts
 from jobs.experiment.spec import Experiment
+from jobs.experiment.sweep import ArmPoint
 from jobs.experiment.yaml_source import SpecError
 from jobs.results.episodes import read_episodes
 from jobs.results.store import ResultStore, StoreError
@@ -41,10 +43,13 @@ class Scene:
 
     Attributes
     ----------
+    run:
+        Without the agents that its learners began with: who plays it again needs them, see `to_play`.
     num_episodes, num_steps:
         Of the whole run, as stored.
     """
 
+    arm_point: ArmPoint
     arm: ArmPlan
     run: RunPlan
     episode: int
@@ -56,6 +61,17 @@ class Scene:
         """For people."""
         sweep = f" [{self.arm.sweep}]" if self.arm.sweep else ""
         return f"{self.arm.arm}{sweep} · run {self.run.index}"
+
+    def to_play(self) -> RunPlan:
+        """The run with all that its learners began with.
+
+        Raises
+        ------
+        SpecError
+            If an agent that they began with is no longer where it was.
+        """
+        with _refused(self.arm_point.point.experiment):
+            return with_starts(self.arm_point, self.run)
 
 
 def find_scene(store: ResultStore, wish: Wish) -> Scene:
@@ -79,9 +95,20 @@ def find_scene(store: ResultStore, wish: Wish) -> Scene:
     episode = _episode(wish.episode, row["episodes"])
     # Not the plan's seed: an earlier session may have stored more runs than the experiment has now.
     seed = run_seeds(experiment.seed, wish.run + 1)[wish.run]
-    run = run_plan(points[sweep], wish.run, seed)
+    with _refused(experiment):
+        run = fresh_run_plan(points[sweep], wish.run, seed)
     arm_of_point = replace(arm_plan(points[sweep]), identity=experiment.identity)
-    return Scene(arm_of_point, run, episode, row["episodes"], row["steps"])
+    return Scene(points[sweep], arm_of_point, run, episode, row["episodes"], row["steps"])
+
+
+@contextmanager
+def _refused(experiment: Experiment) -> Iterator[None]:
+    """Options that cannot be filled in are bad input, like a field of an experiment file."""
+    try:
+        yield
+    except OptionError as error:
+        message = f"{experiment.where(*error.place)}: {error}"
+        raise SpecError(message) from error
 
 
 def _arm(experiment: Experiment, finished: set[str], wanted: str | None) -> str:

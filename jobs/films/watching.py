@@ -77,11 +77,11 @@ def film_scene(store: ResultStore, scene: Scene, options: FilmOptions, told: Cal
     """
     path = options.output or Path(f"{scene.arm.arm}-run{scene.run.index}-episode{scene.episode}.gif")
     check_output(path)
-    environment = scene.run.environment
+    run, environment = scene.to_play(), scene.run.environment
     with _refused():
         # First, for the replay may take long.
-        world = rendered_world(environment, scene.run.seed, environment_factory(environment.id))
-        replay = replay_run(scene.arm, scene.run, scene.episode, told)
+        world = rendered_world(environment, run.seed, environment_factory(environment.id))
+        replay = replay_run(scene.arm, run, scene.episode, told)
     num_checked = check_replay(store, scene, replay)
     shown = Shown(scene.label, _learner(scene, replay), scene.episode, replay.trajectory)
     every = film_episode(world, shown, replace(options, output=path))

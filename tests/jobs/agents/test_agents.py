@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from jobs.cli.agent_commands import _remarks
 from jobs.experiment.plan import Plan
 from jobs.experiment.run_plans import run_plan
 from jobs.experiment.spec_files import load_experiment
+from jobs.experiment.starts import _agent
 from jobs.experiment.validation import check
 from jobs.experiment.yaml_source import SpecError
 from jobs.films.scenes import Wish, find_scene
@@ -208,6 +210,25 @@ def test_rows_with_a_start(kind: str, tmp_path: Path) -> None:
     replayed, was_kept = exported(whole, 0)
     assert not was_kept
     assert replayed.content.origin["identity"] == whole.name
+
+
+def test_agent_that_is_gone(maze: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A model that is kept needs nothing of the agent that its run began with; a replay that does says so in a line."""
+    exported(maze, 0)[0].save("agent")
+    overrides = ["variables.dropped=[y]", "models=final", "runs=1", "episodes=5", "arms.all.start_from=agent"]
+    results = play(written(tmp_path, MAZE), tmp_path / "further", *overrides, placement="local")
+    before, _ = exported(results, 0)
+    Path("agent").rename("moved")
+    _agent.cache_clear()
+    after, was_kept = exported(results, 0)
+    assert was_kept
+    assert after.digest == before.digest
+    assert call(capsys, "evaluate", str(results), "--episodes", "2")[0] == 0
+    shutil.rmtree(results / "models")
+    for words in (["export", str(results), "a"], ["evaluate", str(results)], ["watch", str(results)]):
+        code, err = call(capsys, *words)
+        assert (code, err.count("error:")) == (2, 1)
+        assert "learners.full: start_from: agent: found no agent.json" in " ".join(err.split())
 
 
 def test_identity(maze: Path, tmp_path: Path) -> None:
