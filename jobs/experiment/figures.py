@@ -107,6 +107,11 @@ class CurvePlot(_Plot):
 
 Plot = Annotated[ArmPlot | LinePlot | CurvePlot, Field(discriminator="kind")]
 
+TRAIN_TIMES: tuple[Plot, ...] = (
+    ArmPlot(kind="bars", name="train_time"),
+    ArmPlot(kind="distributions", name="train_time_distribution"),
+)
+
 
 class Picture(_Figure):
     """A figure that needs no runs: of the theory (§3.5, §3.6), or of the mazes that runs are played in."""

@@ -15,7 +15,7 @@ from apel.numerics.near_names import did_you_mean
 from apel.run.criterion import Criterion
 from cluster.shard import ModelRule, RecordingRule
 from jobs.experiment.axes import axis_columns, check_axis
-from jobs.experiment.figures import Picture, Plot, check_plots
+from jobs.experiment.figures import TRAIN_TIMES, Picture, Plot, check_plots
 from jobs.experiment.limits import MAX_LEARNERS, Episodes, Runs, Seed, Steps, check_sizes, num_values
 from jobs.experiment.names import Name, Text, check_arms, check_columns
 from jobs.experiment.spec_errors import describe, expectation
@@ -212,6 +212,11 @@ class Experiment(BaseModel):
         if orders := swept_orders(self.sweep):
             content["swept_order"] = orders
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def drawn_plots(self) -> list[Plot]:
+        """Its plots or, where it names none and has a criterion, its train times."""
+        return self.plots or (list(TRAIN_TIMES) if self.criterion else [])
 
     def _starts(self) -> dict[str, str]:
         """What learners and arms begin with: agents by what they are, not by where they lie."""

@@ -14,6 +14,7 @@ from typing import Any
 from jobs.analysis.pages.results_table import results_table
 from jobs.analysis.stored_summary import stored_summary
 from jobs.analysis.switching.table import HEADINGS, cells
+from jobs.experiment.figures import CurvePlot
 from jobs.experiment.spec import Experiment
 from jobs.results.manifest import arm_timings
 from jobs.results.store import ResultStore
@@ -124,13 +125,17 @@ def sessions(manifest: Mapping[str, Any]) -> str:
 
 
 def pictures(store: ResultStore, experiment: Experiment) -> list[str]:
-    """The figures of an experiment, inline, each with the switch delays that belong to it."""
+    """The figures of an experiment, inline, each with the switch delays that belong to it.
+
+    Others lie there, too, where an earlier session drew other plots, perhaps of fewer runs.
+    """
     files = store.folder.names("figures")
     shown = []
-    for name in (file for file in files if file.endswith(".svg")):
-        shown.append(embedded_svg(store.folder.read(f"figures/{name}"), f"{experiment.name}/{name}"))
-        delays = f"{name.removesuffix('.svg')}_switch.csv"
-        if delays in files:
+    for plot in experiment.drawn_plots:
+        name, delays = f"{plot.name}.svg", f"{plot.name}_switch.csv"
+        if name in files:
+            shown.append(embedded_svg(store.folder.read(f"figures/{name}"), f"{experiment.name}/{name}"))
+        if delays in files and isinstance(plot, CurvePlot) and plot.switch:
             shown.append(_switches(store.folder.read(f"figures/{delays}"), delays))
     return shown
 

@@ -9,15 +9,10 @@ from jobs.analysis.plotting.switch_marks import Marks, marks_of
 from jobs.analysis.recorded_episodes import IncompleteError
 from jobs.analysis.switching.runs import SwitchData
 from jobs.analysis.switching.table import switch_table
-from jobs.experiment.figures import ArmPlot, CurvePlot, LinePlot, Plot
+from jobs.experiment.figures import CurvePlot, LinePlot, Plot
 from jobs.experiment.spec import Experiment
 from jobs.experiment.yaml_source import SpecError
 from jobs.results.store import ResultStore
-
-_DEFAULT: tuple[Plot, ...] = (
-    ArmPlot(kind="bars", name="train_time"),
-    ArmPlot(kind="distributions", name="train_time_distribution"),
-)
 
 
 def draw_figures(store: ResultStore, experiment: Experiment) -> list[str]:
@@ -32,9 +27,8 @@ def draw_figures(store: ResultStore, experiment: Experiment) -> list[str]:
         If a plot is over environment steps, and not every episode was recorded.
     """
     runs = store.runs()
-    plots = experiment.plots or (list(_DEFAULT) if experiment.criterion else [])
     written = []
-    for plot in plots:
+    for plot in experiment.drawn_plots:
         try:
             written += _write_plot(store, runs, plot, experiment)
         except IncompleteError as error:

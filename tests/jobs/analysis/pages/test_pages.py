@@ -119,14 +119,27 @@ def test_planted_pictures_are_pictures(small: Path, tmp_path: Path) -> None:
     """Whatever lies among the figures, the page shows it as a picture, or as text: never as a part of itself."""
     (tmp_path / "figures").mkdir()
     planted = "<svg xmlns='http://www.w3.org/2000/svg' onload='alert(1)'><script>alert(2)</script></svg>"
-    (tmp_path / "figures" / "a'><script>.svg").write_text(planted)
+    (tmp_path / "figures" / "a.svg").write_text(planted)
     (tmp_path / "figures" / "b.svg").write_bytes(b"\xff no picture")
     (tmp_path / "figures" / "b_switch.csv").write_text("<script>\n<script>\n")
-    page = "".join(pictures(ResultStore.at(str(tmp_path)), load_experiment(str(small))))
+    curves = "kind: curves, panels: [return], clock: steps, switch: {early: Q_full, late: SSBAS}"
+    overrides = ["arms.SSBAS={learners: [Q_red]}", f"plots=[{{name: a, {curves}}}, {{name: b, {curves}}}]"]
+    page = "".join(pictures(ResultStore.at(str(tmp_path)), load_experiment(str(small), overrides)))
     parser = _Links()
     parser.feed(page)
     assert parser.tags == ["figure", "img", "figure", "img", "p"]
     assert "alert" not in page
+
+
+def test_only_figures_of_now(small: Path, tmp_path: Path) -> None:
+    """What other plots left behind is not shown, nor the switches of one that no longer marks any."""
+    (tmp_path / "figures").mkdir()
+    for name in ("train_time.svg", "other.svg", "other_switch.csv"):
+        (tmp_path / "figures" / name).write_text(f"<svg>{name}</svg>")
+    store = ResultStore.at(str(tmp_path))
+    for overrides, expected in (([], "train_time"), (["plots=[{kind: bars, name: other}]"], "other")):
+        (shown,) = pictures(store, load_experiment(str(small), overrides))
+        assert f'alt="small-maze/{expected}.svg"' in shown
 
 
 def test_gallery_is_drawn_by_its_name(
