@@ -80,10 +80,12 @@ class Results:
         of the arm, probabilities, estimates and concentrations.
         """
         import pandas as pd
+        import pyarrow as pa
 
         tables = {arm: read_episodes(self._store.folder, arm, list(COLUMNS)) for arm in self.experiment.arms}
         frames = [table.to_pandas().assign(arm=arm) for arm, table in tables.items() if table is not None]
-        together = pd.concat(frames, ignore_index=True)
+        nothing = pa.schema([("arm", pa.string()), *COLUMNS.items()]).empty_table().to_pandas()
+        together = pd.concat(frames or [nothing], ignore_index=True)
         return together[["arm", *COLUMNS]].sort_values(["arm", "sweep", "run_index", "episode"], ignore_index=True)
 
     def plot(self, *panels: Panel, smooth: int = 5) -> Any:

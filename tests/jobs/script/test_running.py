@@ -71,6 +71,14 @@ def test_results(tmp_path: Path) -> None:
     assert other.path != results.path
 
 
+def test_no_episodes(tmp_path: Path) -> None:
+    """Where none is recorded there are none, in the columns that others have."""
+    held = notebook()
+    none, all_of_them = (run(held, tmp_path, runs=1, episodes=2, record=record) for record in ("none", "all"))
+    assert none.episodes.empty
+    assert none.episodes.dtypes.to_dict() == all_of_them.episodes.dtypes.to_dict()
+
+
 def test_parts_of_many_kinds(tmp_path: Path) -> None:
     """Classes of modules, keys, import paths, options, a selector that is made, a rule of one's own, a measure."""
     results = jobs.run(
