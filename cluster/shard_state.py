@@ -121,7 +121,7 @@ class ShardState:
             episodes=int(episodes.sum()),
             steps=int(self.book.steps.sum()),
             num_failed=int((over & (self.book.status != FINISHED)).sum()),
-            train_time=int(self._train_time().sum()) if self._has_criterion else 0,
+            train_time=int(self._train_time(self.book.num_episodes).sum()) if self._has_criterion else 0,
             rounds=self.output.rounds,
             round_seconds=round_seconds,
             checkpoint_seconds=checkpoint_seconds,
@@ -147,11 +147,11 @@ class ShardState:
         block = common_blocks(self.book.selector_state[running], self._num_hosts).concentration
         return () if not len(block) or np.isnan(block).any() else tuple(block.mean(axis=0).tolist())
 
-    def _train_time(self) -> NDArray[np.int64]:
-        """Of each run that finished: when its criterion held, or how long it was played without."""
+    def _train_time(self, cap: int = 0) -> NDArray[np.int64]:
+        """Of each run that finished: when its criterion held, or how long it was played without, at least the cap."""
         done = self.book.status == FINISHED
         time = self.book.train_time[done]
-        return np.where(time < 0, self.book.episode[done], time)
+        return np.where(time < 0, np.maximum(self.book.episode[done], cap), time)
 
     def run_rows(self) -> RunRows:
         """The rows of the runs that were finished, failed ones left out."""

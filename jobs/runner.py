@@ -24,6 +24,7 @@ from jobs.precautions import of_this_machine, refuse_settings, refuse_shadowing
 from jobs.progress.arm_clock import ArmClock
 from jobs.progress.observers import NO_OBSERVER, Ending, Observer, told_if_it_lasts
 from jobs.progress.progress import JobProgress
+from jobs.results.caps import counted_with_cap
 from jobs.results.failures import FailureFiles
 from jobs.results.lease import BusyError, Lease, lease, this_owner
 from jobs.results.manifest import add_session, new_manifest
@@ -229,7 +230,7 @@ def _summarise(plan: Plan, store: ResultStore, outcome: Outcome) -> None:
         # With scipy's statistics, which take half a second to import: longer than most commands.
         from jobs.analysis.statistics import summarise
 
-        runs = store.consolidate(plan)
+        runs = counted_with_cap(store.consolidate(plan), plan.experiment)
         outcome.summary = summarise(runs)
         store.write_summary(outcome.summary, runs)
 

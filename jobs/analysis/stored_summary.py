@@ -29,4 +29,4 @@ def stored_summary(store: ResultStore) -> pa.Table:
     # With scipy's statistics, which take half a second to import.
     from jobs.analysis.statistics import summarise
 
-    return summarise(runs)
+    return summarise(store.counted_runs())

@@ -34,7 +34,8 @@ import pyarrow.parquet as pq
 from cluster.checkpoint import digest
 from jobs.experiment.plan import Plan, RunKey
 from jobs.experiment.spec import Experiment, validate
-from jobs.experiment.yaml_source import parse
+from jobs.experiment.yaml_source import SpecError, parse
+from jobs.results.caps import counted_with_cap, has_censored
 from jobs.results.failures import FAILURES
 from jobs.results.labels import DamageError, check_columns, content_digest, expect, label_of, labelled, parse_table
 from jobs.results.lease import LEASES
@@ -170,6 +171,20 @@ class ResultStore:
             check_once(table)
         return table
 
+    def counted_runs(self) -> pa.Table:
+        """The rows of `runs` as means and pictures take them; see `jobs.results.caps.counted_with_cap`.
+
+        Where the experiment cannot be read its caps are not known, and the rows stay as they are.
+        """
+        runs = self.runs()
+        if not has_censored(runs):
+            return runs
+        try:
+            return counted_with_cap(runs, self.experiment())
+        except (StoreError, SpecError):
+            self._note(SPEC_FILE, "found no experiment that can be read: if steps ended runs, times may be too short")
+            return runs
+
     def summary(self) -> pa.Table:
         """The rows of ``summary.parquet``.
 
@@ -178,7 +193,7 @@ class ResultStore:
         StoreError
             If they are not those of ``runs.parquet``; the caller can make them anew from it.
         """
-        runs = self.runs()
+        runs = self.counted_runs()
         with self._told("summary.parquet"):
             table, label = self._read("summary.parquet")
             if label is None:
@@ -188,7 +203,7 @@ class ResultStore:
         return table
 
     def write_summary(self, summary: pa.Table, runs: pa.Table) -> None:
-        """Replace ``summary.parquet``, which was made from these runs."""
+        """Replace ``summary.parquet``, which was made from these runs, counted as in `counted_runs`."""
         self._write_labelled("summary.parquet", summary, runs=content_digest(runs))
 
     def experiment(self) -> Experiment:

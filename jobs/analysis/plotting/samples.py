@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from jobs.analysis.statistics.bootstrap import Floats, bootstrap_interval
 from jobs.experiment.figures import ArmPlot, CurvePlot, LinePlot, Metric
 from jobs.experiment.spec import Experiment
+from jobs.results.caps import counted_with_cap
 
 NAMES: dict[Metric, str] = {
     "train_time": "train time (episodes)",
@@ -65,8 +66,12 @@ class Sample:
 
 
 def selected(runs: pa.Table, plot: ArmPlot | LinePlot | CurvePlot, experiment: Experiment) -> Any:
-    """The rows that a plot shows, as a data frame, in the order of its arms."""
-    frame = runs.to_pandas()
+    """The rows that a plot shows, as a data frame, in the order of its arms.
+
+    Those that did not meet the criterion count with the cap, except where it is drawn how long each was watched.
+    """
+    is_watched = isinstance(plot, ArmPlot) and plot.kind == "survival"
+    frame = (runs if is_watched else counted_with_cap(runs, experiment)).to_pandas()
     for column, values in plot.where.items():
         if column in frame:
             frame = frame[[_is_wanted(found, values) for found in frame[column]]]

@@ -17,6 +17,8 @@ _MEASURES = ("adaptation_time", "steady_state", _LATE_RETURN)
 def summarise(runs: pa.Table) -> pa.Table:
     """One row per arm and sweep point, in order of appearance: train times and their spread, other measures, work done.
 
+    Of a run that is censored the train time is taken as it stands: see `jobs.results.caps.counted_with_cap`.
+
     A measure that no run has gives no columns; one that some arms lack is null for them.
     """
     frame = runs.to_pandas()

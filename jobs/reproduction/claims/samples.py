@@ -18,6 +18,7 @@ from jobs.experiment.spec import Experiment
 from jobs.reproduction.claims.episode_metrics import of_episodes
 from jobs.reproduction.claims.selection import Given, MissingError, Selection, UnknownNameError
 from jobs.reproduction.claims.statistics import Sample
+from jobs.results.caps import counted_with_cap
 from jobs.results.hindsight import with_hindsight
 from jobs.results.store import ResultStore
 
@@ -54,13 +55,15 @@ class Results:
 
     @cached_property
     def runs(self) -> Any:
-        """The run rows as a pandas frame."""
-        stored = self.store.runs()
+        """The run rows as a pandas frame; those that did not meet the criterion count with the cap."""
+        return counted_with_cap(self._with_hindsight(self.store.runs()), self.experiment).to_pandas()
+
+    def _with_hindsight(self, stored: pa.Table) -> pa.Table:
         if not self.experiment.hindsight:
-            return stored.to_pandas()
+            return stored
         played = stored.filter(pc.is_in(stored["arm"], pa.array(list(self.experiment.arms))))
         kept = [name for name in played.column_names if name != "chosen"]
-        return with_hindsight(played.select(kept), self.experiment.hindsight).to_pandas()
+        return with_hindsight(played.select(kept), self.experiment.hindsight)
 
     def select(self, selection: Selection) -> Selected:
         """The numbers that are asked for.

@@ -154,14 +154,15 @@ class Recorder(Observer):
         self.endings.append(ending)
 
 
-def test_last_report_of_a_real_job(small: Path, tmp_path: Path) -> None:
-    """The progress at the end is what the results say."""
+@pytest.mark.parametrize("changes", [[], ["steps=1000"]], ids=["episodes", "steps"])
+def test_last_report_of_a_real_job(small: Path, tmp_path: Path, changes: list[str]) -> None:
+    """The progress at the end is what the results say; runs that missed the criterion count with the cap."""
     recorder = Recorder()
     outcome = run_experiment(
-        load_experiment(str(small)), Settings(results=str(tmp_path), placement="local"), Observers([recorder])
+        load_experiment(str(small), changes), Settings(results=str(tmp_path), placement="local"), Observers([recorder])
     )
     assert recorder.last is not None
-    rows = outcome.store.runs().to_pandas()
+    rows = outcome.store.counted_runs().to_pandas()
     for name, arm in recorder.last.arms().items():
         mine = rows[rows["arm"] == name]
         assert (arm.runs_done, arm.steps) == (len(mine), int(mine["steps"].sum()))
