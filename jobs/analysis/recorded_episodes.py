@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
+from numpy.lib.stride_tricks import sliding_window_view
 
 from jobs.analysis.statistics.bootstrap import Floats
 from jobs.results.episodes import read_episodes
@@ -90,13 +91,18 @@ def read_curves(folder: Folder, arm: str, sweep: str, columns: Sequence[str]) ->
 
 
 def moving_mean(values: Floats, width: int) -> Floats:
-    """Mean of each run's last ``width`` values; of fewer at its beginning."""
+    """Mean of each run's last ``width`` values; of fewer at its beginning.
+
+    Every window is added up by itself, so that equal ones have equal means, whatever came before them.
+    """
     if width == 1:
         return values
-    total = np.cumsum(np.nan_to_num(values), axis=1)
-    number = np.cumsum(np.isfinite(values), axis=1).astype(np.float64)
-    for sums in (total, number):
-        sums[:, width:] -= sums[:, :-width].copy()
+    known = np.nan_to_num(values)
+    total = np.cumsum(known, axis=1)
+    if width <= values.shape[1]:
+        total[:, width - 1 :] = sliding_window_view(known, width, axis=1).sum(axis=-1)
+    number = np.cumsum(np.isfinite(values), axis=1)
+    number[:, width:] -= number[:, :-width].copy()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.isfinite(values), total / number, np.nan)
 

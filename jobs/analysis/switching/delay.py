@@ -31,6 +31,8 @@ from numpy.typing import NDArray
 from jobs.analysis.statistics.bootstrap import Floats
 
 NEVER = float("nan")
+ROUNDING = 1e-9
+"""What one curve is less above another one is none: sums of the same returns in another order differ as well."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,8 @@ def crossover_step(early: Floats, early_ends: Floats, late: Floats, late_ends: F
         return NEVER
     at_early = early[np.searchsorted(early_ends, steps, side="right") - 1]
     at_late = late[np.searchsorted(late_ends, steps, side="right") - 1]
-    place = int(first_of_last_stretch(at_late > at_early))
+    is_above = at_late > at_early + ROUNDING * np.maximum(1.0, np.abs(at_early))
+    place = int(first_of_last_stretch(is_above))
     return float(steps[place]) if place < len(steps) else NEVER
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from jobs.analysis.statistics.bootstrap import NUM_RESAMPLES, Estimate, Floats, bootstrap_curve, bootstrap_of_means
-from jobs.analysis.switching.delay import first_of_last_stretch
+from jobs.analysis.switching.delay import ROUNDING, first_of_last_stretch
 from jobs.analysis.switching.runs import SwitchData
 
 _UNITS = {"episodes": "delay", "steps": "delay_steps"}
@@ -73,7 +73,7 @@ def delay_of_means(
     count = len(steps)
 
     def delay(means: Floats) -> Floats:
-        crossing = _stays(means[..., :count] > 0, steps)
+        crossing = _stays(means[..., :count] > ROUNDING, steps)
         return _stays(means[..., count:] >= 0.5, steps) - crossing
 
     return bootstrap_of_means(np.hstack((gaps, shares)), delay, num_resamples=num_resamples)
@@ -84,7 +84,7 @@ def crossing_of_means(steps: Floats, values: Floats, *, strict: bool = True) -> 
     if not values.size:
         return None
     means = values.mean(axis=0)
-    place = int(first_of_last_stretch(means > 0 if strict else means >= 0))
+    place = int(first_of_last_stretch(means > ROUNDING if strict else means >= 0))
     return float(steps[place]) if place < len(steps) else None
 
 

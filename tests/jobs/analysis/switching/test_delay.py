@@ -37,6 +37,23 @@ def test_crossover_is_judged_until_the_first_run_ends() -> None:
     assert math.isnan(no_overlap)
 
 
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+def test_rounding_crosses_nothing(order: slice) -> None:
+    """Curves that end with the same returns, in whatever order, are not above each other, whatever came before."""
+    last = np.array([0.1, 0.7, 0.2, 0.9, 0.3, 0.6])
+    early, late = (np.concatenate((np.full(3, first), ends)) for first, ends in ((-4.3, last), (-0.3, last[order])))
+    ends = np.arange(1.0, 10.0)
+    curves = [moving_mean(returns[None], 6)[0] for returns in (early, late)]
+    assert math.isnan(crossover_step(curves[0], ends, curves[1], ends))
+    assert crossover_step(curves[0], ends, curves[1] + 1e-6, ends) == 1
+
+
+def test_equal_windows_have_equal_means() -> None:
+    """To the last bit, after anything that came before them."""
+    values = np.array([[-4.3] * 3 + [0.7] * 7, [-0.3] * 3 + [0.7] * 7, [1e9] * 3 + [0.7] * 7])
+    assert len(set(moving_mean(values, 2)[:, 4:].ravel().tolist())) == 1
+
+
 @pytest.mark.parametrize(
     ("is_late", "expected"),
     [
@@ -170,6 +187,10 @@ def test_delay_of_mean_curves() -> None:
     gaps = np.array([[-2.0, -2, 0, 0, 0, 2], [0.0, 0, 2, 2, 2, 0]])
     shares = np.array([[0.0, 0, 0.5, 0.5, 1, 1], [0.0, 0, 0, 0.5, 1, 1]])
     assert crossing_of_means(steps, gaps) == 3
+    # What is above by rounding alone, as 0.1 + 0.2 is above 0.3, does not cross.
+    rounded = np.where(gaps == 2, 0.1 + 0.2 - 0.3, gaps)
+    assert crossing_of_means(steps, rounded) is None
+    assert delay_of_means(steps, rounded, shares) is None
     found = delay_of_means(steps, gaps, shares)
     assert found is not None
     assert found.value == 1
