@@ -124,13 +124,13 @@ class UntilDecided:
         return decide(values, smaller_is_better=smaller_is_better, error=self._error, seed=seed)
 
 
-def refuse_undecidable(plan: Plan) -> None:
-    """See that a plan has arms of which one can be the best.
+def refuse_undecidable(plan: Plan, error: float) -> None:
+    """See that a plan has arms of which one can be the best, and be known to be with this error.
 
     Raises
     ------
     SpecError
-        If it has a sweep, or not two arms.
+        If it has a sweep, or not two arms, or if the error is so small that no number of runs decides.
     """
     sweep, arms = plan.experiment.sweep, len(plan.arm_points)
     if sweep:
@@ -141,6 +141,25 @@ def refuse_undecidable(plan: Plan) -> None:
         raise SpecError(message)
     if not 2 <= arms <= _MOST_ARMS:
         message = f"--until: found {arms} arms to be played, expected 2 to {_MOST_ARMS}, one of which can be the best"
+        raise SpecError(message)
+    refuse_error(arms, error)
+
+
+def refuse_error(num_candidates: int, error: float) -> None:
+    """See that the best of so many candidates can be known with this error.
+
+    Raises
+    ------
+    SpecError
+        If no number of runs decides.
+    """
+    from jobs.analysis.statistics.sequential import least_error
+
+    if error <= (least := least_error(num_candidates)):
+        message = (
+            f"--error: found {error:g}, expected more than {least:.6g} with {num_candidates} to be compared: "
+            "with less no number of runs decides"
+        )
         raise SpecError(message)
 
 

@@ -139,7 +139,7 @@ def run_planned(
     """
     refuse_shadowing()
     if settings.error is not None:
-        refuse_undecidable(plan.only(settings.arms))
+        refuse_undecidable(plan.only(settings.arms), settings.error)
     check(plan, settings.arms)
     if settings.address is None:
         of_this_machine(plan.only(settings.arms), settings.placement, settings.num_cpus, observer.noted)

@@ -67,7 +67,7 @@ def submit(
     find_user_modules()
     plan = Plan.of(experiment)
     if options.until:
-        refuse_undecidable(plan.only(options.chosen_arms))
+        refuse_undecidable(plan.only(options.chosen_arms), options.chosen_error)
     check(plan, options.chosen_arms)
     job = submit_job(
         experiment, address=address, options=options.words(), results=results, modules=module or [],

@@ -25,6 +25,7 @@ from jobs.results.finding import results_at
 from jobs.results.places import joined
 from jobs.results.storage import Folder
 from jobs.results.store import ResultStore
+from jobs.rounds import refuse_error
 
 if TYPE_CHECKING:
     from jobs.films.scenes import Scene
@@ -56,8 +57,9 @@ def show(
 def compare(
     results: Annotated[str, typer.Argument(help="The folder of an experiment's results.")],
     error: Annotated[
-        float, typer.Option(min=0.0001, max=0.5, help="Probability of naming a wrong arm as the best.")
-    ] = DEFAULT_ERROR,
+        float | None,
+        typer.Option(min=0.0001, max=0.5, help="Probability of naming a wrong arm as the best.", show_default="0.05"),
+    ] = None,
     arms: Annotated[str | None, typer.Option(help="Only these arms, separated by commas.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -69,7 +71,10 @@ def compare(
     named = None if arms is None else arms.split(",")
     if named is not None:
         Plan.of(store.experiment()).only(named)  # refuses those that the experiment does not have
-    answers = compare_results(store, error, named)
+    answers = compare_results(store, DEFAULT_ERROR if error is None else error, named)
+    if error is not None:
+        for answer in answers:
+            refuse_error(len(answer.costs), error)
     if as_json:
         OUT.print_json(answer_json(store.experiment(), answers), ensure_ascii=True)
         return

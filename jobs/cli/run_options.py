@@ -153,6 +153,11 @@ class RunOptions:
         """Their names; None for all."""
         return tuple(self.arms.split(",")) if self.arms else None
 
+    @property
+    def chosen_error(self) -> float:
+        """With which probability a wrong arm may be named."""
+        return DEFAULT_ERROR if self.error is None else self.error
+
     def settings(self, here: HereOptions, job: str) -> Settings:
         """The settings of a job of this process, which may be the driver of the submitted one with the id ``job``.
 
@@ -173,7 +178,7 @@ class RunOptions:
                 checkpoint_seconds=self.checkpoint_seconds, checkpoint_episodes=self.checkpoint_episodes
             ),
             job=job,
-            error=None if self.until is None else DEFAULT_ERROR if self.error is None else self.error,
+            error=None if self.until is None else self.chosen_error,
         )
 
     def words(self) -> list[str]:

@@ -18,7 +18,7 @@ from jobs.experiment.plan import Plan, RunKey
 from jobs.experiment.spec_files import load_experiment
 from jobs.experiment.yaml_source import SpecError
 from jobs.results.store import ResultStore
-from jobs.rounds import AllAtOnce, UntilDecided
+from jobs.rounds import AllAtOnce, UntilDecided, refuse_undecidable
 from jobs.runner import Settings, run_experiment
 
 MOST = 30
@@ -106,6 +106,14 @@ def test_undecided(plan: Plan) -> None:
     played.play(rounds)
     assert played.rounds[-1][0] == MOST
     assert rounds.told(played.finished).startswith("no more runs: with 30 runs it is not decided")
+
+
+def test_an_error_that_no_number_of_runs_reaches(plan: Plan) -> None:
+    """Is refused before anything is played; the smallest one is named."""
+    refuse_undecidable(plan, 0.0005)
+    told = r"--error: found 0\.0001, expected more than 0\.000488281 with 3 to be compared"
+    with pytest.raises(SpecError, match=told):
+        refuse_undecidable(plan, 0.0001)
 
 
 @pytest.mark.parametrize("steps", [100_000, 3_000])

@@ -13,7 +13,7 @@ from typing import Any
 from jobs.analysis.answer.comparison import Answer, Cost, Inside, Placed, Ranking, Verdict
 from jobs.analysis.answer.measures import Kind
 from jobs.analysis.statistics.bootstrap import Estimate
-from jobs.analysis.statistics.sequential import first_look
+from jobs.analysis.statistics.sequential import first_look, least_error
 from jobs.experiment.spec import Experiment
 
 _WIDTH = 80
@@ -113,6 +113,9 @@ def _decided(verdict: Verdict) -> Iterator[str]:
 def _undecided(verdict: Verdict, ranking: Ranking) -> Iterator[str]:
     others, count = list(verdict.left[1:]), len(ranking.places)
     yield f"But it cannot be told apart from {_named(others)} at an error of {_percent(verdict.error)}:"
+    if verdict.error <= (least := least_error(count)):
+        yield f"no number of runs decides between {count} with less than {_percent(least)}."
+        return
     fewest = first_look(count, verdict.error)
     if verdict.num_runs < fewest:
         yield f"{_runs(verdict.num_runs)} cannot decide between {count}; it takes at least {fewest}."

@@ -87,19 +87,17 @@ def decide(values: Floats, *, smaller_is_better: bool, error: float = 0.05, seed
     left = list(range(num_candidates))
     if num_candidates < 2:
         return Decision(left[0] if left else None, tuple(left), num_runs)
-    share = error / (2 * (num_candidates - 1))
     pairs = {pair: _Pair() for pair in _pairs(values, smaller_is_better)}
-    first = first_look(num_candidates, error)
-    looks = itertools.takewhile(lambda look: look <= num_runs, _looks(first))
+    looks = itertools.takewhile(lambda look: look <= num_runs, _looks(num_candidates, error))
     before = 0
     for look in looks:
         signs = [_signs(seed, run) for run in range(before, look)]
-        allowed = share * (1 - (1 - _FIRST_SHARE) * math.sqrt(first / look))
+        num_allowed = _num_allowed(num_candidates, error, look)
         beaten = set()
         for (one, other), pair in pairs.items():
             differences = np.nan_to_num(values[before:look, one] - values[before:look, other])
             pair.extend(signs, -differences if smaller_is_better else differences)
-            beaten |= {(one, other)[place] for place in pair.beaten(int(allowed * _NUM_PATHS))}
+            beaten |= {(one, other)[place] for place in pair.beaten(num_allowed)}
         if beaten >= set(left):
             beaten = set()  # in a circle, which takes that candidates lack different runs: it says nothing
         # Who beats whom at one look is known at once: those who are out there still count as the betters of others.
@@ -111,20 +109,51 @@ def decide(values: Floats, *, smaller_is_better: bool, error: float = 0.05, seed
     return Decision(None, tuple(left), num_runs)
 
 
-def first_look(num_candidates: int, error: float) -> int:
-    """The fewest runs of which no sum but the one with all signs as observed need be cut off to spend a quarter of α'.
+def least_error(num_candidates: int) -> float:
+    """With an error of no more than this, α' is not even one path, and no number of runs decides.
 
-    >>> first_look(2, 0.05), first_look(6, 0.05), first_look(2, 0.01)
-    (8, 10, 10)
+    >>> least_error(2), least_error(6)
+    (0.000244140625, 0.001220703125)
+    """
+    return 2 * (num_candidates - 1) / _NUM_PATHS
+
+
+def first_look(num_candidates: int, error: float) -> int:
+    """The fewest runs that can decide: those of the first look at which a path may be cut off.
+
+    Raises
+    ------
+    ValueError
+        If no number of runs can.
+
+    >>> first_look(2, 0.05), first_look(6, 0.05), first_look(2, 0.01), first_look(2, 0.0005)
+    (8, 10, 10, 31)
+    """
+    if error <= least_error(num_candidates):
+        message = f"error: found {error:g}, expected more than {least_error(num_candidates):.6g}"
+        raise ValueError(message)
+    return next(look for look in _looks(num_candidates, error) if _num_allowed(num_candidates, error, look))
+
+
+def _first(num_candidates: int, error: float) -> int:
+    """n₁: the fewest runs of which no sum but the one with all signs as observed need be cut off to spend a quarter of
+    α'.
     """
     return max(2, math.ceil(math.log2(2 * (num_candidates - 1) / (_FIRST_SHARE * error))))
 
 
-def _looks(first: int) -> Iterator[int]:
-    look = first
+def _looks(num_candidates: int, error: float) -> Iterator[int]:
+    look = _first(num_candidates, error)
     while True:
         yield look
         look = max(look + 1, math.ceil(_LOOK_GROWTH * look))
+
+
+def _num_allowed(num_candidates: int, error: float, look: int) -> int:
+    """Paths that may be cut off by so many runs: α' f(n) of all."""
+    share = error / (2 * (num_candidates - 1))
+    allowed = share * (1 - (1 - _FIRST_SHARE) * math.sqrt(_first(num_candidates, error) / look))
+    return int(allowed * _NUM_PATHS)
 
 
 def _pairs(values: Floats, smaller_is_better: bool) -> Sequence[tuple[int, int]]:

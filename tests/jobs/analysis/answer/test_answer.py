@@ -272,6 +272,10 @@ def test_bad_input(play: Play, tmp_path: Path, capsys: pytest.CaptureFixture[str
     ended = called(capsys, "compare", play(*AT_LENGTH).folder.location(), "--error", "0.9")
     assert ended.code == 2
     assert "--error" in ended.err
+    ended = called(capsys, "compare", play(*AT_LENGTH).folder.location(), "--error", "0.0004")
+    assert ended.code == 2
+    assert "--error: found 0.0004, expected more than 0.000488281 with 3 to be compared" in ended.err
+    assert called(capsys, "compare", play(*AT_LENGTH).folder.location(), "--error", "0.0005").code == 0
     ended = called(capsys, "compare", play(*AT_LENGTH).folder.location(), "--arms", "APEL,SBAS")
     assert ended.code == 2
     assert "--arms: found 'SBAS', expected some of Q_full, APEL, SSBAS; did you mean SSBAS?" in ended.err

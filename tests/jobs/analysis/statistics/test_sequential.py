@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jobs.analysis.statistics import sequential
-from jobs.analysis.statistics.sequential import Decision, decide, first_look
+from jobs.analysis.statistics.sequential import Decision, decide, first_look, least_error
 
 ERROR = 0.2
 """High, so that few simulations show whether it is held."""
@@ -90,6 +90,27 @@ def test_no_run_in_vain() -> None:
     assert decide(apart, smaller_is_better=True).left == (0, 2)
     few = first_look(3, 0.05) - 1
     assert decide(apart[:few], smaller_is_better=True) == Decision(None, (0, 1, 2), few)
+
+
+@pytest.mark.parametrize(("num_candidates", "error"), [(2, 0.05), (2, 0.0005), (6, 0.002), (32, 0.01)])
+def test_the_first_look_decides_where_runs_agree(num_candidates: int, error: float) -> None:
+    """So many runs may decide, and no fewer can."""
+    first = first_look(num_candidates, error)
+    apart = np.arange(num_candidates) + np.arange(3.0 * first)[:, None] ** 2
+    assert decide(apart[: first - 1], smaller_is_better=True, error=error).left == (*range(num_candidates),)
+    decision = decide(apart, smaller_is_better=True, error=error)
+    assert decision.best == 0
+    assert decision.num_runs >= first
+
+
+def test_least_error() -> None:
+    """Where a path is all that may ever be cut off, less than one is; a little more, and runs decide."""
+    equal = np.tile(np.arange(200.0)[:, None], 2) + np.array([0.0, 1.0])
+    least = least_error(2)
+    assert decide(equal, smaller_is_better=True, error=least).best is None
+    with pytest.raises(ValueError, match=r"error: found 0\.000244141, expected more than 0\.000244141"):
+        first_look(2, least)
+    assert decide(equal, smaller_is_better=True, error=1.5 * least).best == 0
 
 
 def test_no_more_paths_are_cut_off_than_allowed() -> None:
