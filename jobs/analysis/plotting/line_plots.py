@@ -39,6 +39,7 @@ def draw(plt: Any, runs: Any, plot: LinePlot, experiment: Experiment) -> Any:
     frame = frame[frame[plot.metric].notna()]
     if plot.x not in frame or frame[plot.x].isna().all():
         return None
+    frame = _with_nulls_named(frame, plot.x)
     names = _names(frame[plot.x])
     series = _series(frame, plot, experiment, names)
     variants = list(dict.fromkeys(one.variant for one in series))
@@ -49,9 +50,24 @@ def draw(plt: Any, runs: Any, plot: LinePlot, experiment: Experiment) -> Any:
     for axes, panel in zip(all_axes[0], panels, strict=True):
         _panel(axes, panel, plot, experiment, names, is_split=is_split)
     all_axes[0, 0].set_ylabel(NAMES[plot.metric])
-    theory_overlays.draw(all_axes[0], runs, frame, plot, experiment)
+    if not names:
+        theory_overlays.draw(all_axes[0], runs, frame, plot, experiment)
     _finish(figure, all_axes[0], series, plot, experiment)
     return figure
+
+
+def _with_nulls_named(frame: Any, axis: str) -> Any:
+    """Null among the values of an arm that the axis touches is one of them, and has a name, as all have then."""
+    is_touched = frame.groupby("arm")[axis].transform("count") > 0
+    if not (is_touched & frame[axis].isna()).any():
+        return frame
+    # A column with nulls holds whole numbers as floats.
+    names = frame[axis].convert_dtypes().map(_name)
+    return frame.assign(**{axis: names.where(is_touched, None)})
+
+
+def _name(value: Any) -> str:
+    return "None" if pd.isna(value) else str(value)
 
 
 def _names(column: Any) -> list[str] | None:
@@ -64,10 +80,10 @@ def _series(frame: Any, plot: LinePlot, experiment: Experiment, names: list[str]
     others = [axis for axis in experiment.sweep if axis != plot.x and axis in frame]
     found = []
     for arm, rows in frame.groupby("arm", sort=False):
-        varied = [axis for axis in others if rows[axis].nunique() > 1]
-        groups = rows.groupby(varied, sort=False) if varied else [((), rows)]
+        varied = [axis for axis in others if rows[axis].nunique(dropna=False) > 1]
+        groups = rows.groupby(varied, sort=False, dropna=False) if varied else [((), rows)]
         for values, group in groups:
-            variant = ", ".join(f"{_short(axis)} = {value}" for axis, value in zip(varied, values, strict=True))
+            variant = ", ".join(f"{_short(axis)} = {_name(value)}" for axis, value in zip(varied, values, strict=True))
             found.append(_one_series(str(arm), variant, group, plot, names))
     return found
 

@@ -10,11 +10,11 @@ import pyarrow.compute
 import pytest
 from PIL import Image
 
-from jobs.analysis.plotting import style
+from jobs.analysis.plotting import line_plots, style
 from jobs.analysis.plotting.figures import draw_figures
 from jobs.analysis.plotting.samples import Sample, samples, selected
 from jobs.analysis.recorded_episodes import Curves, moving_mean
-from jobs.experiment.figures import ArmPlot
+from jobs.experiment.figures import ArmPlot, LinePlot
 from jobs.experiment.spec import Experiment
 from jobs.experiment.spec_files import load_experiment, shipped_experiments
 from jobs.experiment.yaml_source import SpecError
@@ -163,6 +163,33 @@ def test_train_times_are_drawn_where_nothing_is_named(tmp_path: Path) -> None:
     drawn = pictures(draw_figures(store, experiment))
     assert {"train_time.png", "train_time_distribution.svg"} < set(drawn)
     assert draw_figures(store, experiment.model_copy(update={"criterion": None})) == []
+
+
+@pytest.mark.parametrize(
+    ("values", "names"), [([None, "x", "y"], ["None", "x", "y"]), ([None, 1, 2], ["None", "1", "2"])]
+)
+def test_null_is_a_place_of_its_own(tmp_path: Path, values: list[object], names: list[str]) -> None:
+    """Of an arm that the axis touches, on the axis and among the variants; arms that it does not touch are level."""
+    _, experiment = synthetic(tmp_path, " []")
+    tags = [None, None, *values, *values]
+    rows = {
+        "arm": ["Q_1"] * 2 + ["Q_2"] * 6,
+        "sweep": [str(tag) for tag in tags],
+        "train_time": [5, 7, 10, 20, 30, 12, 22, 32],
+        "censored": [False] * 8,
+        "decay": tags,
+        "window": [10] * 8,
+    }
+    places = []
+    for x, other in (("decay", "window"), ("window", "decay")):
+        plot = LinePlot(kind="lines", name="a", metric="train_time", x=x)
+        swept = experiment.model_copy(update={"sweep": {x: [], other: []}})
+        with style.pyplot() as plt:
+            (axes,) = line_plots.draw(plt, pa.table(rows), plot, swept).axes
+        labels = [line.get_label() for line in axes.get_lines() if not line.get_label().startswith("_")]
+        places.append((labels, [label.get_text() for label in axes.get_xticklabels()]))
+    assert places[0][1] == names
+    assert len(places[1][0]) == 1 + len(names)
 
 
 def test_rows_are_picked_and_ordered(tmp_path: Path) -> None:
