@@ -47,6 +47,8 @@ class Corridor(gymnasium.Env[int, int]):
         reward = 1.0 if self._cell == 4 else -0.1
         if self._episode >= self._fault_episode and self._fault == "nan":
             reward = float("nan")
+        if self._episode >= self._fault_episode and self._fault == "huge":
+            reward = 1e308
         return self._cell, reward, self._cell == 4, self._steps >= 30, {}
 
 

@@ -47,8 +47,8 @@ class Book(NamedTuple):
     learner: NDArray[np.int64]
     """``int64[R]``: who plays it."""
     status: NDArray[np.int64]
-    """``int64[R]``: RUNNING; FINISHED; NOT_FINITE after a performance that is no number; BAD_SELECTION after a selector
-    named a learner that does not exist; FAILED because of anything else."""
+    """``int64[R]``: RUNNING; FINISHED; NOT_FINITE after a performance, or a return, that is no number; BAD_SELECTION
+    after a selector named a learner that does not exist; FAILED because of anything else."""
     train_time: NDArray[np.int64]
     """``int64[R]``: episodes until the criterion held; −1 as long as it has not."""
     steps: NDArray[np.int64]
@@ -109,7 +109,7 @@ def advance(
     measure: float,
 ) -> None:
     """Take in the finished episode of ``run``; select for the next unless the run is over."""
-    if not np.isfinite(performance):
+    if not (np.isfinite(performance) and np.isfinite(episode_return)):
         book.status[run] = NOT_FINITE
         return
     state = book.selector_state[run]

@@ -68,6 +68,11 @@ FAULTS = {
         "found the performance inf, expected a finite number",
         0,
     ),
+    "rewards whose sum is no number": (
+        (*with_user_code("huge"), "performance=negative_length"),
+        "found the return inf, expected a finite number",
+        40,
+    ),
     "a learner that raises": (with_user_code("", "tests.user_code:Choosy"), "RuntimeError: out of ideas", 20),
 }
 

@@ -170,10 +170,13 @@ class Streaks:
 
 
 def not_finite_failures(episodes: Episodes) -> tuple[Failure, ...]:
-    """One failure per episode whose performance is no number."""
-    columns = (episodes.run.tolist(), episodes.episode.tolist(), episodes.performance.tolist())
-    return tuple(
-        Failure(run, episode, f"found the performance {performance}, expected a finite number")
-        for run, episode, performance in zip(*columns, strict=True)
-        if not np.isfinite(performance)
-    )
+    """One failure per episode whose performance, or return, is no number."""
+    performance, episode_return = episodes.performance, episodes.episode_return
+    failures = []
+    for place in np.flatnonzero(~(np.isfinite(performance) & np.isfinite(episode_return))).tolist():
+        what = f"performance {performance[place]}"
+        if np.isfinite(performance[place]):
+            what = f"return {episode_return[place]}"
+        run, episode = int(episodes.run[place]), int(episodes.episode[place])
+        failures.append(Failure(run, episode, f"found the {what}, expected a finite number"))
+    return tuple(failures)

@@ -72,6 +72,8 @@ def measures(experiment: Experiment, rows: Sequence[pd.DataFrame], played: Seque
         values = _side_by_side(rows, columns)
         if values is None:
             notes.append(why_not)
+        elif np.isinf(values).any():
+            notes.append(f"the {kind} of some runs is so large that it is no finite number")
         else:
             found.append(Measure(kind, values, capped))
 

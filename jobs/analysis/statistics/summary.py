@@ -72,8 +72,13 @@ def _train_times(times: Floats, censored: Any) -> dict[str, float | int | None]:
 
 
 def _spread(values: Floats) -> tuple[float | None, float | None, float | None, float | None]:
-    """Mean, the ends of its interval, and standard deviation; None without values, the deviation also of one alone."""
+    """Mean, the ends of its interval, and standard deviation; None without values, the deviation also of one alone.
+
+    Of values that overflowed, as sums of huge returns do, the mean is no number either, and nothing else is known.
+    """
     if not len(values):
         return None, None, None, None
+    if not np.isfinite(values).all():
+        return float(values.mean()), None, None, None
     deviation = float(values.std(ddof=1)) if len(values) > 1 else None
     return float(values.mean()), *bootstrap_interval(values), deviation

@@ -173,12 +173,15 @@ def test_replay_of_nothing_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("selector", [Apel(), PlainSelector(Apel())], ids=["compiled", "plain"])
-@pytest.mark.parametrize("performance", [math.nan, math.inf, -math.inf])
-def test_performance_that_is_no_number_stops_the_run(selector: Selector, performance: float) -> None:
+@pytest.mark.parametrize(
+    ("episode_return", "performance"),
+    [(1.0, math.nan), (1.0, math.inf), (1.0, -math.inf), (math.inf, -5.0), (-math.inf, -5.0)],
+)
+def test_what_is_no_number_stops_the_run(selector: Selector, episode_return: float, performance: float) -> None:
     """The run is marked, and neither selector nor clocks take anything in; other runs go on."""
     book = book_of(selector)
     expected = book_of(selector)
-    advance_run(book, selector, 0, 5, 1.0, performance)
+    advance_run(book, selector, 0, 5, episode_return, performance)
     assert book.status.tolist() == [NOT_FINITE, RUNNING]
     book.status[0] = RUNNING
     assert_same_books(book, expected)

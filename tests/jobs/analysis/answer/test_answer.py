@@ -13,6 +13,8 @@ import pandas as pd
 import pytest
 
 from jobs.analysis.answer.comparison import Answer, compare
+from jobs.analysis.answer.measures import measures
+from jobs.analysis.answer.played import PlayedRuns
 from jobs.analysis.answer.words import _columns, answer_json, answer_lines
 from jobs.analysis.pages.report import write_report
 from jobs.experiment.spec_files import load_experiment
@@ -72,6 +74,15 @@ def test_returns_and_areas(play: Play) -> None:
     returns = [place.estimate.value for place in found.rankings[0].places]
     assert returns == sorted(returns, reverse=True)
     assert sum(place.probability_best for place in found.rankings[0].places) == pytest.approx(1.0)
+
+
+def test_returns_that_overflow_are_not_compared(play: Play) -> None:
+    """Which is said in place of an answer."""
+    experiment = play(*AT_LENGTH).experiment()
+    rows = [pd.DataFrame({"steps": [9], "censored": [None], "last_tenth_return": [end]}) for end in (np.inf, 3.0)]
+    found = measures(experiment, rows, [PlayedRuns()] * 2)
+    assert not found.known
+    assert found.notes[0] == "the return of some runs is so large that it is no finite number"
 
 
 def test_area_over_steps(play: Play) -> None:

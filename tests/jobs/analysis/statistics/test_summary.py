@@ -84,6 +84,16 @@ def test_return_of_the_last_tenth() -> None:
     assert (second["mean_last_tenth_return"], second["median_last_tenth_return"]) == (None, None)
 
 
+def test_returns_that_overflow() -> None:
+    """Nothing but that is known of their arm; the others are summarised."""
+    runs = _runs(["A", "A", "B"], last_tenth_return=pa.array([float("inf"), 2.0, 3.0]))
+    first, second = summarise(runs).to_pylist()
+    assert first["mean_last_tenth_return"] == float("inf")
+    spread = ("low", "high", "standard_deviation")
+    assert [first[f"last_tenth_return_{name}"] for name in spread] == [None] * 3
+    assert second["mean_last_tenth_return"] == 3
+
+
 def test_spread_of_one_run_is_unknown() -> None:
     """One run says nothing of how runs differ."""
     runs = _runs(["A"], train_time=[70]).set_column(5, "censored", pa.array([False]))
