@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from apel.configs import LearnsFrom, ObservationRule
 from apel.run.floor import ActingFloor
@@ -52,6 +52,14 @@ class EnvironmentSpec(BaseModel):
     run_seed: Text | None = None
     max_episode_steps: Steps | None = None
     observations: ObservationRule = "check"
+
+    @field_validator("run_seed")
+    @classmethod
+    def _alone(cls, run_seed: str | None, info: ValidationInfo) -> str | None:
+        if run_seed in info.data.get("options", {}):
+            message = f"found {run_seed!r}, which options sets too, expected one of them"
+            raise ValueError(message)
+        return run_seed
 
 
 class LearnerSpec(Open):

@@ -231,6 +231,17 @@ def test_sweep_point_that_is_no_experiment_is_named(small: Path) -> None:
         Plan.of(swept)
 
 
+def test_an_option_that_run_seed_sets_has_no_other_value(small: Path) -> None:
+    """In the file, by an override and at a sweep point: it would be heeded nowhere."""
+    told = r"environment\.run_seed: found 'maze_seed', which options sets too, expected one of them"
+    with pytest.raises(SpecError, match=f"small\\.yaml:.*: {told}"):
+        load_experiment(str(small), ["environment.options.maze_seed=7"])
+    swept = load_experiment(str(small), ["sweep={environment.options.maze_seed: [1, 2]}"])
+    with pytest.raises(SpecError, match=f"sweep point environment.options.maze_seed=1: {told}"):
+        Plan.of(swept)
+    load_experiment(str(small), ["environment.options.maze_seed=7", "environment.run_seed=null"])
+
+
 def test_unknown_arm_is_refused(small: Path) -> None:
     """A plan of some arms has these, in the order of the file; one that is not there is refused by its name."""
     plan = Plan.of(load_experiment(str(small)))
