@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -32,8 +30,9 @@ def counted_with_cap(runs: pa.Table, experiment: Experiment) -> pa.Table:
     cap = pa.array([caps.get(label) for label in runs["sweep"].to_pylist()], pa.int64())
     missing = pc.max_element_wise(pc.subtract(cap, runs["train_time"]), 0)
     missing = pc.if_else(pc.fill_null(runs["censored"], fill_value=False), pc.fill_null(missing, 0), 0)
-    for name in set(_TIMES) & set(runs.column_names):
-        runs = _replaced(runs, name, pc.add(runs[name], missing))
+    for place, name in enumerate(runs.column_names):
+        if name in _TIMES:
+            runs = runs.set_column(place, name, pc.add(runs[name], missing))
     return runs
 
 
@@ -41,7 +40,3 @@ def _may_end_before(experiment: Experiment) -> bool:
     """Whether something else than the cap may end a run that does not meet the criterion."""
     swept = (path for axis, values in experiment.sweep.items() for path in axis_paths(axis, values))
     return experiment.steps is not None or "steps" in swept
-
-
-def _replaced(runs: pa.Table, name: str, column: Any) -> pa.Table:
-    return runs.set_column(runs.column_names.index(name), name, column)

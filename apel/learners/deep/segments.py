@@ -204,14 +204,12 @@ class SegmentMemory:
         ValueError
             If that is of a memory of another size, and does not fit.
         """
-        closed = self.arrays.closed
-        # The open segments stand in a slot of their own.
-        held, begun = state["columns"][4].shape[1] - 1, int(np.max(state["closed"]))
-        check_room(held, begun, self.arrays.length.shape[1] - 1)
+        closed, capacity = self.arrays.closed, self.arrays.length.shape[1] - 1  # an open segment has a slot of its own
+        check_room(state["columns"][0].shape[1] - 1, int(np.max(state["closed"])), capacity)
         closed[:] = state["closed"]
         for column, stored in zip(self._columns, state["columns"], strict=True):
             column[:, : stored.shape[1]] = stored
-        held = np.minimum(closed, self.arrays.length.shape[1] - 1)
+        held = np.minimum(closed, capacity)
         rebuild(self.arrays.own, state.get("own"), closed - held, closed)
 
     @property
