@@ -150,7 +150,7 @@ def real_power(base: float, exponent: float) -> float:
     return exp(exponent * log(base))
 
 
-@njit
+@njit(inline="always")
 def softmax(logits: Any, probability: Any) -> float:
     """Write the probabilities of ``logits`` ``[actions]``, in double precision; log Σ exp of the logits."""
     largest = np.float64(logits[0])

@@ -35,7 +35,7 @@ from apel.learners.deep.layer_table import (
 )
 from apel.learners.deep.normalising import denormalise, normalise
 from apel.learners.deep.patches import gather, scatter
-from apel.learners.deep.products import LANES, Floats, multiply, sum_of_squares
+from apel.learners.deep.products import LANES, Floats, multiply, rectify, sum_of_squares
 from apel.numerics.compiled import KernelFunction, caller_of, njit
 
 _BETA_1, _BETA_2 = 0.9, 0.999  # Kingma & Ba 2015
@@ -49,8 +49,7 @@ def _activate(kind: int, values: Floats) -> None:
         for i in range(values.shape[0]):
             values[i] = tanh32(values[i])
     elif kind == RELU:
-        for i in range(values.shape[0]):
-            values[i] = max(values[i], np.float32(0.0))
+        rectify(values, 0, values.shape[0])
 
 
 @njit(inline="always")

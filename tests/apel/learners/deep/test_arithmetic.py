@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from apel.learners.deep import arithmetic
-from apel.learners.deep.products import aligned, multiply, sum_of_squares
+from apel.learners.deep.products import LANES, aligned, multiply, rectify, sum_of_squares, tile_of
 from apel.numerics.compiled import njit
 
 
@@ -137,6 +138,70 @@ def test_sums_go_step_by_step() -> None:
         multiply(rows, 3, width, a, 0, 3, 1, b, 0, width, np.zeros_like(b), 0, 0, y, 0, width)
         exact = np.float32(np.float64(number) ** 2 - 1.0)
         assert (y == exact + np.float32(2.0**-25)).all()
+
+
+@pytest.mark.parametrize("depth", [1, 5, 64])
+def test_no_element_depends_on_its_tile(depth: int) -> None:
+    """All together is row by row and vector by vector, bit for bit."""
+    for rows, vectors in ((1, 4), (4, 1), (9, 1), (11, 4), (8, 5), (15, 11)):
+        factors = matrices(rows, depth, vectors)
+        together, alone = np.empty((2, rows * vectors * LANES), dtype=np.float32)
+        multiply(rows, depth, vectors * LANES, *operands(factors), together, 0, vectors * LANES)
+        one_by_one(factors, alone)
+        assert together.tobytes() == alone.tobytes()
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (8, 1), (4, 1), (1, 4), (6, 2)])
+def test_tiles_of_other_processors(shape: tuple[int, int]) -> None:
+    """They are others where registers are, with the same elements, bit for bit."""
+    tile = tile_of(*shape)
+
+    @numba.njit
+    def computed(depth: int, width: int, a: Any, b: Any, c: Any, y: Any) -> None:
+        tile(a, 0, depth, 1, b, 0, width, depth, c, 0, width, y, 0, width)
+
+    factors = matrices(shape[0], 7, shape[1])
+    together, alone = np.empty((2, shape[0] * shape[1] * LANES), dtype=np.float32)
+    computed(7, shape[1] * LANES, *(one.reshape(-1) for one in factors), together)
+    one_by_one(factors, alone)
+    assert together.tobytes() == alone.tobytes()
+
+
+def matrices(rows: int, depth: int, vectors: int) -> list[NDArray[np.float32]]:
+    width = vectors * LANES
+    return [RNG.normal(size=shape).astype(np.float32) for shape in ((rows, depth), (depth, width), (rows, width))]
+
+
+def operands(factors: list[NDArray[np.float32]], row: int = 0, column: int = 0) -> tuple[Any, ...]:
+    """What `multiply` asks for of matrices, from one element of the product on."""
+    (a, b, c), (depth, width) = factors, factors[1].shape
+    flat = a.reshape(-1), b.reshape(-1), c.reshape(-1)
+    return flat[0], row * depth, depth, 1, flat[1], column, width, flat[2], row * width + column, width
+
+
+def one_by_one(factors: list[NDArray[np.float32]], product: NDArray[np.float32]) -> None:
+    depth, width = factors[1].shape
+    for row in range(len(factors[0])):
+        for column in range(0, width, LANES):
+            multiply(1, depth, LANES, *operands(factors, row, column), product, row * width + column, width)
+
+
+def test_rectify() -> None:
+    """Of part of an array; NaN stays, so that a network that diverged is not taken for one that is silent."""
+    x = RNG.normal(size=96).astype(np.float32)
+    x[16:22] = [np.nan, -np.nan, -0.0, np.inf, -np.inf, -1e-45]
+    y = x.copy()
+    rectified(y, 16, 80)
+    expected = np.where(x[16:80] < 0, np.float32(0.0), x[16:80])
+    np.testing.assert_array_equal(y[16:80], expected)
+    assert not np.signbit(y[18])
+    np.testing.assert_array_equal(y[:16], x[:16])
+    np.testing.assert_array_equal(y[80:], x[80:])
+
+
+@njit
+def rectified(x: Any, begin: int, end: int) -> None:
+    rectify(x, begin, end)
 
 
 def test_sum_of_squares() -> None:
