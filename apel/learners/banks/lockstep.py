@@ -21,11 +21,15 @@ from apel.learners.banks.learner_list import LearnerList
 from apel.learners.banks.lockstep_round import LockstepRound
 from apel.learners.banks.seers import replaced
 from apel.learners.banks.streaks import Streaks
+from apel.learners.banks.whole_episodes import whole_episodes
 from apel.learners.base import Failure, Performance, Played, State, StreakLimit
 from apel.learners.starting import begin, of_run, of_runs, with_own
 from apel.numerics.episode_seeds import EpisodeSeeds
 from apel.run.selection import Selector, starts_epoch
 from apel.run.state import Book
+
+_STEPS_TOGETHER = 512
+"""Of others' episodes, for which one call is made: a call takes as long as learning from a dozen steps."""
 
 
 class LockstepBank:
@@ -134,22 +138,18 @@ class LockstepBank:
         return tuple(Failure.of(run, begun[run], error) for run, error in errors.items())
 
     def _learn_whole_episodes(self, batch: TrajectoryBatch) -> tuple[Failure, ...]:
-        """The same run by run, where nothing is gained from lockstep: the rows are the steps of one episode."""
+        """The same run by run, where nothing is gained from lockstep."""
         failures: dict[int, Failure] = {}
-        for run, episode, trajectory in batch.trajectories():
+        # What is compiled fails at nothing, and need not be told that an episode is over: so it is asked less often.
+        most_steps = _STEPS_TOGETHER if self.is_compiled and not self._freezes else 1
+        for some in whole_episodes(batch, self.actions, most_steps):
+            one, run, episode = some.runs[:1], int(some.runs[0]), int(some.episodes[0])
             if run in failures:
                 continue
-            one, steps = np.array([run]), np.full(len(trajectory), run)
-            is_last = np.arange(len(steps)) == len(steps) - 1
-            errors = self.freeze_at_epoch(one, np.array([episode]))
+            errors = self.freeze_at_epoch(one, some.episodes[:1])
             if not errors:
-                entries, terminated = trajectory.observation, is_last & trajectory.terminated
-                stepped = Stepped(entries[1:], trajectory.reward, terminated, is_last & ~terminated)
-                seen, action = self.first_seen(steps, entries[:-1]), self.actions.counted(trajectory.action)
-                known = trajectory.probability
-                self.learn_step(
-                    steps, seen, action, stepped, self.actions.unknown(len(steps)) if known is None else known
-                )
+                seen = self.first_seen(some.runs, some.entry)
+                self.learn_step(some.runs, seen, some.action, some.stepped, some.probability)
                 errors = self.learner.errors or self.end_episode(one)
             if errors:
                 if self._raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from apel.building.registry import load
 from apel.configs import EnvironmentConfig, LearnerConfig
 from apel.environments import World, make_world
 from apel.experience.representations import Bins, Representation
-from apel.experience.trajectory import Trajectory
+from apel.experience.trajectory import Episodes, Trajectory, batch_of
 from apel.learners import LearnerBank, LockstepBank
 from apel.learners.base import StreakLimit
 from apel.run.criterion import Criterion
@@ -126,6 +127,49 @@ def test_learning_from_others_equals_plain_learners_one_by_one(name: str) -> Non
     for run, episode, trajectory in batch.trajectories():
         agents[run].learn(trajectory, episode)
     assert_same_state(bank.state()["learners"], [agent.learner.state() for agent in agents])
+
+
+@pytest.mark.parametrize(
+    ("kind", "config", "freezes"),
+    [("dqn", MAZE, False), ("sac", CART_POLE, False), ("acer", MAZE, False), ("acer", CART_POLE, True)],
+)
+def test_compiled_learners_are_told_several_episodes_at_once(
+    kind: str, config: EnvironmentConfig, freezes: bool
+) -> None:
+    """Those of several runs, with and without known probabilities; one episode at a time they become the same."""
+    small: dict[str, Any] = {
+        "learning_starts": 2 if kind == "acer" else 20,
+        "network": {"hidden": [16], "activation": "relu"},
+    }
+    small |= {"dueling": False, "head_hidden": []} if kind == "dqn" else {}
+    banks = [
+        make_bank(
+            [LearnerConfig(kind, small)] * 3,
+            worlds_of(config, 3),
+            SEEDS,
+            0,
+            "return",
+            with_probability=True,
+            freezes=freezes,
+        )
+        for _ in range(3)
+    ]
+    together, one_by_one, player = banks
+    before = pickle.dumps(together.state())
+    book = open_book(Fixed(), 1, 80, None, [0, 1, 2], [{}] * 3)
+    batch = player.play([0, 1, 2], book, Fixed(), 0, StreakLimit(80, 10**5), record=True).batch
+    assert batch is not None
+    assert batch.probability is not None
+    known = batch.probability.copy()
+    known[: int(batch.episodes.length[0])] = np.nan
+    batch = replace(batch, probability=known)
+    assert len(batch.action) > 3 * 512
+    assert together.learn(batch) == ()
+    for position, (_, _, trajectory) in enumerate(batch.trajectories()):
+        row = Episodes._make(column[position : position + 1] for column in batch.episodes)
+        assert one_by_one.learn(batch_of(row, [trajectory])) == ()
+    assert_same_state(together.state(), one_by_one.state())
+    assert pickle.dumps(together.state()) != before
 
 
 def assert_same_state(one: Any, other: Any) -> None:
