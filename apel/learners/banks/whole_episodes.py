@@ -26,7 +26,7 @@ class WholeEpisodes(NamedTuple):
     """As banks have them."""
     stepped: Stepped
     probability: NDArray[np.float64]
-    """``float64[N, actions]``: NaN in all of an episode in whose first step it is not known."""
+    """``float64[N, actions]``: NaN in the episodes in which it is not known."""
 
 
 def whole_episodes(batch: TrajectoryBatch, actions: ActionForm, most_steps: int) -> Iterator[WholeEpisodes]:
@@ -36,8 +36,6 @@ def whole_episodes(batch: TrajectoryBatch, actions: ActionForm, most_steps: int)
     position = np.repeat(np.arange(len(length)), length)
     is_last = np.zeros(len(position), dtype=np.bool_)
     is_last[end - 1] = True
-    known = batch.probability
-    is_unknown = np.zeros(len(length), dtype=np.bool_) if known is None else np.isnan(known[end - length]).any(axis=1)
     first = 0
     while first < len(length):
         begin = int(end[first] - length[first])
@@ -48,8 +46,6 @@ def whole_episodes(batch: TrajectoryBatch, actions: ActionForm, most_steps: int)
         entry = batch.observation[begin + first : steps.stop + after]
         is_one, at = after == first + 1, np.arange(len(which)) + which - first
         terminated = is_last[steps] & episodes.terminated[which]
-        probability = actions.unknown(len(which)) if known is None else known[steps].copy()
-        probability[is_unknown[which]] = np.nan
         yield WholeEpisodes(
             runs=episodes.run[which],
             episodes=episodes.episode[which],
@@ -61,6 +57,6 @@ def whole_episodes(batch: TrajectoryBatch, actions: ActionForm, most_steps: int)
                 terminated=terminated,
                 truncated=is_last[steps] & ~terminated,
             ),
-            probability=probability,
+            probability=actions.unknown(len(which)) if batch.probability is None else batch.probability[steps],
         )
         first = after

@@ -168,8 +168,9 @@ def multiply(
     columns are apart (so that it may be transposed), and of C rows may be the same (0 apart: a bias).
     """
     strip = WIDE * LANES
-    for begin in range(0, columns // strip * strip, strip):
-        whole = rows - rows % _BLOCK[0]
+    in_strips = columns - columns % strip
+    whole = rows - rows % _BLOCK[0]
+    for begin in range(0, in_strips, strip):
         for column in range(begin, begin + strip, _BLOCK[1] * LANES):
             for row in range(0, whole, _BLOCK[0]):
                 left, start, end = a_at + row * a_row, c_at + row * c_row + column, y_at + row * y_row + column
@@ -177,8 +178,8 @@ def multiply(
         for row in range(whole, rows):
             left, start, end = a_at + row * a_row, c_at + row * c_row + begin, y_at + row * y_row + begin
             _flat_wide(a, left, a_row, a_step, b, b_at + begin, b_step, depth, c, start, c_row, y, end, y_row)
-    for column in range(columns // strip * strip, columns, LANES):
-        whole = rows - rows % _TALL
+    whole = rows - rows % _TALL
+    for column in range(in_strips, columns, LANES):
         for row in range(0, whole, _TALL):
             left, start, end = a_at + row * a_row, c_at + row * c_row + column, y_at + row * y_row + column
             _tall(a, left, a_row, a_step, b, b_at + column, b_step, depth, c, start, c_row, y, end, y_row)
